@@ -30,7 +30,7 @@ def draw(demo: Path, out: Path) -> None:
         like = json.loads((press / "press.json").read_text(encoding="utf-8"))["like"]
         said = {
             "simulated": f", {like['psnr_db']:.1f} dB",
-            "depth": f", {like['depth_mm']:.2f} ± {like['depth_sigma_mm']:.2f} mm",
+            "depth": f", {like['depth_mm']:.2f} ± {like['depth_error_mm']:.2f} mm",
         }
         for panel, (name, title) in zip(row, PANELS, strict=True):
             (path,) = (demo / "report").glob(f"{press.name}_{name}.*")

@@ -46,7 +46,7 @@ for axis, (title, shown) in zip(
     axes,
     {
         "image": press.image,
-        "depth pressed [mm]": press.depth_mm,
+        "depth pressed [mm]": 1e3 * press.depth_m,
         "depth read [mm]": 1e3 * reading.depth_m,
         "image of what was read": again,
     }.items(),

@@ -50,25 +50,26 @@ def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np
         ("camera", reading.image),
         ("change", np.clip(128 + 2 * change, 0, 255).astype(np.uint8)),
     ]
-    if reading.surface is not None:
-        normals = np.clip(127.5 * (reading.surface.normals + 1.0), 0, 255).astype(np.uint8)
-        shown += [depth_picture(reading.surface, reading.refused), ("normals", normals)]
-        if reading.press is not None:
-            kpa = 1e-3 * reading.press.pressure_pa
-            pressure = _colored_map(kpa, LEAST_PRESSURE_KPA, cv2.COLORMAP_INFERNO)
-            shown.append(("pressure [kPa]", pressure))
+    found = reading.reading
+    if found is not None:
+        normals = np.clip(127.5 * (found.normals + 1.0), 0, 255).astype(np.uint8)
+        shown += [depth_picture(found), ("normals", normals)]
+        if found.press is not None:
+            kpa = found.pressure_kpa
+            high = max(float(kpa.max()), LEAST_PRESSURE_KPA)
+            shown.append(("pressure [kPa]", _colored_map(kpa, high, cv2.COLORMAP_INFERNO)))
+    elif reading.refused:
+        grey = np.full(reading.image.shape, REFUSED, np.uint8)
+        shown.append(("depth: the frame is refused", grey))
     if reading.markers is not None:
         shown.append((f"markers, arrows x{ARROWS:g}", _markers(reading.image, reading.markers)))
     return shown
 
 
-def depth_picture(surface: Reading, refused: str) -> tuple[str, np.ndarray]:
-    """Title with the scale, and the depth in colours; what the calibration does not reach is
-    marked, and a depth that is rejected is grey."""
-    if refused:
-        return "depth: rejected", np.full((*surface.depth_m.shape, 3), REFUSED, np.uint8)
-    marked = (surface.beyond_balls, surface.saturated)
-    picture = _colored_map(1e3 * surface.depth_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
+def depth_picture(found: Reading) -> tuple[str, np.ndarray]:
+    """Title, and the depth in colours; what the calibration does not reach is marked."""
+    marked, high_mm = (found.beyond_balls, found.saturated), max(found.depth_mm, LEAST_DEEPEST_MM)
+    picture = _colored_map(1e3 * found.depth_m, high_mm, cv2.COLORMAP_VIRIDIS, marked)
     return "depth [mm] (pink: beyond the calibration)", picture
 
 
@@ -77,11 +78,10 @@ def _colored(levels: np.ndarray, colors: int) -> np.ndarray:
 
 
 def _colored_map(
-    values: np.ndarray, least: float, colors: int, marked: Sequence[np.ndarray | None] = ()
+    values: np.ndarray, high: float, colors: int, marked: Sequence[np.ndarray | None] = ()
 ) -> np.ndarray:
-    """Values from 0 to the largest, to ``least`` at least, in colours, with their bar on the right;
-    ``marked`` pixels are pink."""
-    high = max(float(values.max()), least)
+    """Values from 0 to ``high`` in colours, with their bar on the right; ``marked`` pixels are
+    pink."""
     picture = _colored(np.clip(255 * values / high, 0, 255).astype(np.uint8), colors)
     for pixels in marked:
         if pixels is not None:
@@ -116,11 +116,11 @@ def _markers(image: np.ndarray, markers: SeenMarkers) -> np.ndarray:
 SECONDS = 30.0
 MOST_POINTS = 600
 CURVES = (
-    ("depth [mm]", "max_depth_mm", "#1f77b4"),
-    ("contact [mm²]", "contact_mm2", "#2ca02c"),
+    ("depth [mm]", "depth_mm", "#1f77b4"),
+    ("area [mm²]", "area_mm2", "#2ca02c"),
     ("normal force [N]", "force_n", "#d62728"),
 )
-"""Label, figure of the reading, colour."""
+"""Label, name in a reading, colour."""
 
 
 class StripChart:
@@ -144,9 +144,13 @@ class StripChart:
         ]
 
     def add(self, now_s: float, reading: LiveReading) -> None:
-        """Take a reading in; what it does not tell, or what is rejected, is a gap."""
-        figures = {} if reading.refused else reading.figures
-        values = (float(figures.get(name, np.nan)) for _, name, _ in CURVES)
+        """Take a reading in; what it does not tell is a gap."""
+        values = (
+            getattr(part, name, np.nan)
+            for part, (_, name, _) in zip(
+                (reading.reading, reading.press, reading.press), CURVES, strict=True
+            )
+        )
         self._rows.append((now_s, *values))
         while now_s - self._rows[0][0] > SECONDS:
             self._rows.popleft()
@@ -163,7 +167,7 @@ FIGURES_EVERY_S = 0.25
 STAGES = {"wait": "wait for camera", "frame": "crop", "age": "taken to shown"}
 """Stages whose short name says too little."""
 SPREAD = " +-"
-"""Ends the name of a standard deviation, before its unit."""
+"""Ends the name of a standard deviation, before its unit; in words it stands before one."""
 
 
 VIEWS = ("pictures", "3D")
@@ -199,19 +203,15 @@ class LiveSheet:
         """Show what a sensor reads beside the others, in the order of the names."""
         if not self._in_space:
             self._show_pictures(name, pictures(reading, background))
-        elif reading.surface is None:
+        elif reading.reading is None and not reading.refused:
             self._scale.content = PageText("{} reads no depth").format(name or "this profile")
         else:
             deepest_mm = self._surfaces.show(
-                name,
-                reading.surface,
-                relief=self._relief.value,
-                least_mm=LEAST_DEEPEST_MM,
-                rejected=bool(reading.refused),
+                name, reading.reading, relief=self._relief.value, least_mm=LEAST_DEEPEST_MM
             )
             colors = PageText("depth from 0 (violet) to {:.2f} mm (yellow)")
             self._scale.content = (
-                "depth: rejected" if reading.refused else colors.format(deepest_mm)
+                "depth: the frame is refused" if reading.refused else colors.format(deepest_mm)
             )
 
     def _show_pictures(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
@@ -288,24 +288,13 @@ class LivePage:
 def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
     """What the reading says, in Markdown."""
     lines: list[str] = []
-    figures = reading.figures
     if reading.refused:
         lines.append(PageText("## no depth\n\n{}").format(reading.refused))
-    elif figures:
-        sigma = figures["max_depth_sigma_mm"]
-        band = "" if sigma is None else f" ± {sigma:.3f}"
-        deep = PageText("## {:.3f}{} mm deep")
-        lines.append(deep.format(figures["max_depth_mm"], band))
-        x, y = figures["deepest_gel_mm"]
-        lines.append(f"at ({x:.2f}, {y:.2f}) mm, {figures['touched_mm2']:.1f} mm² touched")
-        lines += [PageText("*{}*").format(text) for text in figures["warnings"]]
-    if reading.press is not None:
-        press = reading.press
-        words = PageText("normal force **{}**, by the contact of an elastic layer; {} mm² touch")
-        lines.append(words.format(press.force_words, f"{press.contact_mm2:.1f}"))
-        lines += [PageText("*{}*").format(text) for text in press.remarks]
-    elif reader.no_pressure:
-        lines.append(PageText("{}").format(reader.no_pressure))
+    elif (found := reading.reading) is not None:
+        depth, *pressed = (words.replace(SPREAD, " ±") for words in found.words)
+        lines.append(PageText("## {}").format(depth))
+        lines += [PageText("**{}**").format(text) for text in pressed]
+        lines += [PageText("*{}*").format(text) for text in found.notes]
     if reading.markers is not None:
         seen, moved = reading.markers.seen, reading.markers.uv_px - reading.markers.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
@@ -368,8 +357,8 @@ def save_snapshot(reading: LiveReading, folder: Path) -> Path:
     with parents_made(path):
         try:
             write_image(path, reading.image)
-            if reading.surface is not None and not reading.refused:
-                replace(reading.surface, name=str(path)).write_into(folder, stem, ply=True)
+            if reading.reading is not None:
+                replace(reading.reading, name=str(path)).write_into(folder, stem, ply=True)
         except Exception:
             for left in folder.glob(f"{stem}[._]*"):
                 left.unlink()

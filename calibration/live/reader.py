@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,12 +20,13 @@ from taccel_lab.reading.light import fit_light
 from taccel_lab.reading.pressure import ContactPressure
 from taccel_lab.reading.reader import Reader
 from taccel_lab.reading.reading import Reading
+from taccel_lab.reading.stage_clock import StageClock
 from taccel_lab.reading.thumb import thumb
 from taccel_lab.reading.whole_frame import broken_frame
 from taccel_lab.reading.whose import unlike
 
-REFUSED_SHARE = 0.5
-"""Part of what is touched beyond the calibration from which no depth is given."""
+FRAME = "the frame"
+"""What refusals call a frame."""
 
 ForceReadings = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 """Image and background, RGB uint8, in; forces by name and unit out, such as ``{"Fz [N]": 1.2,
@@ -54,13 +53,11 @@ class LiveReading:
 
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
-    surface: Reading | None
-    """Surface on the reader's grid, and what holds it so; None where the profile has no block for
-    it. Without pressure where it is rejected, and of domes."""
-    figures: dict[str, Any]
-    """Figures of the surface; empty without one."""
+    reading: Reading | None
+    """What ``Reader.read`` reads from it; None where it refuses the frame, or the profile has no
+    block for it."""
     refused: str
-    """Why the depth is not to be believed; empty where it is."""
+    """Why the frame is refused; empty where it is not."""
     markers: SeenMarkers | None
     """None without markers."""
     forces: Mapping[str, float]
@@ -71,7 +68,12 @@ class LiveReading:
     @property
     def press(self) -> ContactPressure | None:
         """What holds the surface so, where that is known."""
-        return None if self.surface is None else self.surface.press
+        return None if self.reading is None else self.reading.press
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Figures of the reading, ready for JSON; empty without one."""
+        return {} if self.reading is None else self.reading.figures()
 
 
 def require_readable(profile: SensorProfile) -> None:
@@ -125,10 +127,11 @@ class LiveReader:
         """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
-        self.surface: Reader | None = None
+        self.reader: Reader | None = None
         if has_depth:
-            self.surface = Reader(profile, background=background, device=device)
-        self.no_pressure = "" if self.surface is None else self.surface.no_press
+            self.reader = Reader(profile, background=background, device=device)
+        self.no_pressure = "" if self.reader is None else self.reader.no_press
+        self._clock = StageClock() if self.reader is None else self.reader.clock
         self._dots = DotMask.of(background.astype(np.float32))
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
@@ -142,12 +145,12 @@ class LiveReader:
     @property
     def grid(self) -> PixelGrid:
         """Grid of the maps."""
-        return self.profile.grid() if self.surface is None else self.surface.grid
+        return self.profile.grid() if self.reader is None else self.reader.grid
 
     @property
     def relaxes(self) -> bool:
         """Whether forces depend on the frames before, and on their times."""
-        pressed = self.surface is not None and not self.no_pressure
+        pressed = self.reader is not None and not self.no_pressure
         return bool(self.profile.material.branches) and pressed
 
     def read(self, image: np.ndarray, time_s: float | None = None) -> LiveReading:
@@ -155,38 +158,33 @@ class LiveReader:
 
         ``time_s``: when it was taken, for gels that relax; None where that is not known.
         """
-        stages: dict[str, float] = {}
-        touch, figures, refused = None, {}, ""
-        with _timed(stages, "whole"):
+        clock, found, refused = self._clock, None, ""
+        clock.restart()
+        if self.reader is not None:
+            try:
+                found = self.reader.read(image, FRAME, time_s)
+            except InputError as error:
+                refused = str(error)
+        if refused or self.reader is None:
+            clock.begin("frame")
             broken = broken_frame(image, self.background, self._seen(image))
-        if broken is not None:
-            return LiveReading(image, None, {}, f"the frame {broken}", None, {}, stages)
-        if self.surface is not None:
-            with _timed(stages, "light"):
-                lit = self.surface.lit(image)
-            with _timed(stages, "depth"):
-                surface = self.surface.surface(lit)
-                figures = surface.figures()
-                refused = self.surface.unlike(lit) or _refusal(figures)
-            if refused or self.no_pressure:
-                touch = replace(surface, no_press=refused or self.no_pressure)
-            else:
-                with _timed(stages, "pressure"):
-                    touch = self.surface.pressed(surface, time_s)
-                if touch.press is not None:
-                    figures |= touch.press.figures()
+            if broken is not None:
+                clock.begin()
+                refused = refused or f"{FRAME} {broken}"
+                return LiveReading(image, None, refused, None, {}, clock.stages_s)
         markers = None
         if self.tracker is not None:
-            with _timed(stages, "markers"):
-                self.tracker.advance(image)
+            clock.begin("markers")
+            self.tracker.advance(image)
             seen = self.tracker.status == TrackStatus.SEEN
             rest, unread = self.tracker.dots.uv_px, self.tracker.unread
             markers = SeenMarkers(self.tracker.uv.copy(), rest, seen, unread)
         forces: Mapping[str, float] = {}
         if self.force is not None:
-            with _timed(stages, "force"):
-                forces = self.force(image, self.background)
-        return LiveReading(image, touch, figures, refused, markers, forces, stages)
+            clock.begin("force")
+            forces = self.force(image, self.background)
+        clock.begin()
+        return LiveReading(image, found, refused, markers, forces, clock.stages_s)
 
     def _seen(self, image: np.ndarray) -> np.ndarray | None:
         """Pixels that no dot covers, bool, [height_px, width_px]; None for all."""
@@ -205,20 +203,3 @@ def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
         f"The untouched gel is not as this profile knows it: {why}. What is read may be wrong: is "
         "this the sensor that was calibrated, its gel clean and untouched?"
     )
-
-
-def _refusal(figures: Mapping[str, Any]) -> str:
-    beyond = figures.get("beyond_balls_share", 0.0)
-    if beyond <= REFUSED_SHARE:
-        return ""
-    return (
-        f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth is "
-        "given"
-    )
-
-
-@contextmanager
-def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    stages[name] = time.perf_counter() - start

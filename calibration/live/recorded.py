@@ -40,8 +40,8 @@ COLUMNS: tuple[str, ...] = (
     "name",
     "time_s",
     "depth_mm",
-    "depth_sigma_mm",
-    "contact_mm2",
+    "depth_error_mm",
+    "area_mm2",
     "force_n",
     "force_low_n",
     "force_high_n",
@@ -66,7 +66,7 @@ STUCK = (
 )
 CURVES = (
     ("depth [mm]", "depth_mm", "depth_low_mm", "depth_high_mm"),
-    ("contact [mm2]", "contact_mm2", "", ""),
+    ("area [mm2]", "area_mm2", "", ""),
     ("force [N]", "force_n", "force_low_n", "force_high_n"),
     ("markers moved, mean [mm]", "marker_mean_mm", "", ""),
 )
@@ -226,19 +226,16 @@ def _row(reader: LiveReader, frame: RecordedFrame) -> dict[str, Any]:
 
 def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
     """The row of a reading, as of ``COLUMNS``."""
-    found = reading.figures
-    said = [*found.get("warnings", ()), *found.get("force_remarks", ())]
-    if reader.no_pressure:
-        said.append(reader.no_pressure)
-    row: dict[str, Any] = {"refused": reading.refused, "remarks": said}
-    if found and not reading.refused:
-        row |= {"depth_mm": found["max_depth_mm"], "depth_sigma_mm": found["max_depth_sigma_mm"]}
+    found = reading.reading
+    row: dict[str, Any] = {"refused": reading.refused, "remarks": [*(found.notes if found else ())]}
+    if found is not None:
+        row |= {"depth_mm": found.depth_mm, "depth_error_mm": found.depth_error_mm}
     if reading.press is not None:
         press = reading.press
         low, high = press.force_interval_n or (None, None)
         x, y = press.center_mm or (None, None)
         row |= {
-            "contact_mm2": press.contact_mm2,
+            "area_mm2": press.area_mm2,
             "force_n": press.force_n,
             "force_low_n": low,
             "force_high_n": high,
@@ -281,7 +278,7 @@ def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
         return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
 
     known = {name: column(name) for name in COLUMNS if name not in TEXTS}
-    sigma = 2 * known["depth_sigma_mm"]
+    sigma = 2 * known["depth_error_mm"]
     known["depth_low_mm"] = known["depth_mm"] - sigma
     known["depth_high_mm"] = known["depth_mm"] + sigma
     over, label_x = known["frame"], "frame"

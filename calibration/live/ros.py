@@ -73,12 +73,12 @@ class RosPublisher:
         )
         stamp = taken.to_msg()
         self._topics["image"].publish(self._picture(reading.image, "rgb8", stamp))
-        if reading.surface is not None:
-            depth = reading.surface.depth_m.astype(np.float32)
-            if reading.refused:
-                depth[:] = np.nan
+        if reading.reading is not None or reading.refused:
+            depth = np.full(reading.image.shape[:2], np.nan, np.float32)
+            if reading.reading is not None:
+                depth = reading.reading.depth_m.astype(np.float32)
             self._topics["depth"].publish(self._picture(depth, "32FC1", stamp))
-        area_mm2 = np.nan if reading.press is None else reading.press.contact_mm2
+        area_mm2 = np.nan if reading.press is None else reading.press.area_mm2
         self._topics["contact"].publish(self._float(data=float(1e-6 * area_mm2)))
         self._topics["wrench"].publish(self._wrench_of(reading, stamp))
 

@@ -44,26 +44,27 @@ class SurfaceView:
         self._shown.clear()
         return True
 
-    def show(
-        self, name: str, found: Reading, *, relief: float, least_mm: float, rejected: bool
-    ) -> float:
+    def show(self, name: str, found: Reading | None, *, relief: float, least_mm: float) -> float:
         """Show a sensor's surface, of a new sensor beside those that are there.
 
         Args:
             name: Of the sensor; empty where it is the only one.
-            found: What it reads.
+            found: What it reads; the last surface stays in grey where that is None.
             relief: Times by which heights are drawn.
             least_mm: End of the colour scale where no sensor is pressed deeper.
-            rejected: Whether the surface is not to be believed: it is grey then.
 
         Returns:
             The end of the colour scale [mm].
         """
-        first = name not in self._shown
+        rejected, first = found is None, name not in self._shown
+        if found is None:
+            if first:
+                return least_mm
+            found = self._shown[name]
         if not self._shown:
             self._server.scene.set_background_image(None)
         self._shown[name] = found
-        deepest_mm = max(least_mm, *(1e3 * float(f.depth_m.max()) for f in self._shown.values()))
+        deepest_mm = max(least_mm, *(f.depth_mm for f in self._shown.values()))
         at_mm = self._place_mm(name)
         points_mm, shown = surface_mesh(found, relief, deepest_mm, at_mm, rejected=rejected)
         with self._server.atomic():
@@ -125,7 +126,7 @@ def surface_mesh(
     """Points of a surface [mm], [n, 3], and the surface as binary glTF: brightest at
     ``deepest_mm``, moved by ``at_mm`` along x. Other arguments as of ``SurfaceView.show``."""
     part = np.s_[:: _every(found), :: _every(found)]
-    points_mm = 1e3 * found.points_m[part]
+    points_mm = found.points_mm[part]
     points_mm[..., 2] *= relief
     points_mm[..., 0] += at_mm
     normals = found.normals[part] * (relief, relief, 1.0)

@@ -88,9 +88,8 @@ def press_strip(press: Press, name: str = "", links: Iterable[Link] = ()) -> Str
         panels = []
         if press.image is not None:
             panels.append(panel("image", _jpeg(press.image), f"image, {press.colours}"))
-        top_mm = press.deepest_mm
-        depth = _jpeg(depth_panel(press.depth_mm, top_mm))
-        deepest = with_error(top_mm, press.height_error.total)
+        depth = _jpeg(depth_panel(1e3 * press.depth_m, press.depth_mm))
+        deepest = with_error(press.depth_mm, press.depth_error_mm)
         panels.append(panel("depth", depth, f"depth, to {deepest} mm"))
         contact = _jpeg(np.where(press.contact_mask, 40, 235))
         panels.append(panel("contact", contact, "contact, dark"))
@@ -98,9 +97,8 @@ def press_strip(press: Press, name: str = "", links: Iterable[Link] = ()) -> Str
     simulated = press.simulated_photo
     assert simulated is not None
     depth = _jpeg(depth_panel(photo.read_depth_mm, photo.seen.depth_mm))
-    read = with_error(photo.seen.depth_mm, photo.depth_sigma_mm)
     return Strip(
-        f"{title}{like['psnr_db']:.1f} dB, {with_error(photo.depth_mm, photo.depth_sigma_mm)} mm "
+        f"{title}{like['psnr_db']:.1f} dB, {with_error(photo.depth_mm, photo.depth_error_mm)} mm "
         f"deep, {_force_words(press)}",
         (
             panel("photo", _jpeg(photo.rgb), "photo"),
@@ -110,7 +108,7 @@ def press_strip(press: Press, name: str = "", links: Iterable[Link] = ()) -> Str
                 _jpeg(twofold_difference(simulated, photo.rgb)),
                 "difference x 2; grey is none",
             ),
-            panel("depth", depth, f"depth read from the photo: {read} mm"),
+            panel("depth", depth, "depth read from the photo, its deepest place brightest"),
         ),
         tuple(links),
     )
@@ -130,10 +128,10 @@ def press_scores(press: Press) -> tuple[Score, ...]:
                 f"untouched image scores {like['untouched_psnr_db']:.1f}",
             )
         )
-        depth = with_error(photo.depth_mm, photo.depth_sigma_mm), "depth of the press"
+        depth = with_error(photo.depth_mm, photo.depth_error_mm), "depth of the press"
         found.append(Score(depth[0], "mm", depth[1], "by the photo; +- is one standard deviation"))
     else:
-        deepest = with_error(press.deepest_mm, press.height_error.total)
+        deepest = with_error(press.depth_mm, press.depth_error_mm)
         found.append(Score(deepest, "mm", "deepest place", "simulated; +- is its whole error, rms"))
     return (*found, force_score(press))
 
@@ -184,10 +182,10 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     if image is not None:
         yield "error of the image: numerical, total", _both(image), "levels rms"
     if (like := press.like) is not None:
-        place = zip("xy", like["at_mm"], like["at_sigma_mm"] or (None, None), strict=True)
+        place = zip("xy", like["at_mm"], like["at_error_mm"] or (None, None), strict=True)
         for axis, at, sigma in place:
             yield f"place in the photo, {axis}", with_error(at, sigma), "mm"
-        yield "depth in the photo", with_error(like["depth_mm"], like["depth_sigma_mm"]), "mm"
+        yield "depth in the photo", with_error(like["depth_mm"], like["depth_error_mm"]), "mm"
         yield "photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB"
         yield "photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB"
     if outcome.fine_force_n is not None:

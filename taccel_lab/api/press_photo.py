@@ -43,9 +43,9 @@ class SeenPress:
     """Gel x and y [mm] of the middle of the dent's core, weighed by depth."""
     depth_mm: float
     """Deepest place below the resting face [mm]."""
-    at_sigma_mm: tuple[float, float] | None
+    at_error_mm: tuple[float, float] | None
     """Standard deviations of x and y; None where the profile states none of heights."""
-    depth_sigma_mm: float | None
+    depth_error_mm: float | None
     """Standard deviation of the depth; None likewise."""
     whole: bool
     """Whether the image shows all of the core."""
@@ -67,12 +67,11 @@ class SeenPress:
         middle = reading.grid.gel_from_pixel(middle_px)
         at_sigma = depth_sigma = None
         if reading.height_sigma_m is not None and reading.reading_sigma_m is not None:
-            depth_sigma = float(1e3 * reading.height_sigma_m[reading.deepest_px])
+            depth_sigma = reading.depth_error_mm
             at_sigma = _place_sigma(reading, depth_mm, core)
         edge = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
-        deepest_mm = float(depth_mm[reading.deepest_px])
         x, y = middle
-        return cls((float(x), float(y)), deepest_mm, at_sigma, depth_sigma, not edge.any())
+        return cls((float(x), float(y)), reading.depth_mm, at_sigma, depth_sigma, not edge.any())
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,9 @@ class PressPhoto:
     """Gel x and y of the indenter's axis [mm]; as read, of the middle of what is pressed in."""
     depth_mm: float
     """Deepest place below the resting face [mm]."""
-    at_sigma_mm: tuple[float, float] | None
+    at_error_mm: tuple[float, float] | None
     """Standard deviations of x and y [mm]; None where the profile states none."""
-    depth_sigma_mm: float | None
+    depth_error_mm: float | None
     """Standard deviation of the depth; None where the profile states none."""
     warnings: tuple[str, ...]
     """What the reading says of itself, a sentence each."""
@@ -144,8 +143,8 @@ class PressPhoto:
             reader.lit(image).levels,
             seen.at_mm,
             seen.depth_mm,
-            seen.at_sigma_mm,
-            seen.depth_sigma_mm,
+            seen.at_error_mm,
+            seen.depth_error_mm,
             tuple(warnings),
             seen,
             1e3 * reading.depth_m,
@@ -211,9 +210,9 @@ class PressPhoto:
         return {
             "photo": str(self.path),
             "at_mm": self.at_mm,
-            "at_sigma_mm": self.at_sigma_mm,
+            "at_error_mm": self.at_error_mm,
             "depth_mm": self.depth_mm,
-            "depth_sigma_mm": self.depth_sigma_mm,
+            "depth_error_mm": self.depth_error_mm,
             "psnr_db": psnr_db(shown, seen),
             "untouched_psnr_db": psnr_db(rest, seen),
             "mean_error_levels": float(np.abs(shown - seen).mean()),

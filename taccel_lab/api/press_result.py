@@ -97,7 +97,7 @@ class Press(Summary):
             self.outcome,
             plan.options.friction,
             self.slippery,
-            self._depth_sigma_mm,
+            self._photo_error_mm,
         )
         return ForceInterval.of(self.force_n, causes)
 
@@ -112,14 +112,35 @@ class Press(Summary):
         return self.outcome.wrench
 
     @property
-    def height_mm(self) -> np.ndarray:
-        """z of the contact face [mm], gel frame, NaN outside the pad, [height_px, width_px]."""
-        return 1e3 * self.outcome.height_m
+    def height_m(self) -> np.ndarray:
+        """z of the contact face [m], gel frame, NaN outside the pad, [height_px, width_px]."""
+        return self.outcome.height_m
 
     @property
-    def depth_mm(self) -> np.ndarray:
-        """How far the face lies below where it rests [mm], [height_px, width_px]."""
-        return 1e3 * (self.outcome.rest_height_m - self.outcome.height_m)
+    def depth_m(self) -> np.ndarray:
+        """How far the face lies below where it rests [m], [height_px, width_px]."""
+        return self.outcome.rest_height_m - self.outcome.height_m
+
+    @property
+    def depth_mm(self) -> float:
+        """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze
+        it."""
+        depth = self.depth_m[self.contact_mask] if self.contact_mask.any() else self.depth_m
+        return 1e3 * float(np.nanmax(depth))
+
+    @property
+    def depth_error_mm(self) -> float:
+        """Error of the depth [mm]: that of the heights, root mean square; NaN of a stored mesh."""
+        return self.height_error.total
+
+    @property
+    def center_mm(self) -> tuple[float, float] | None:
+        """Centre of pressure in the gel frame [mm]; None without contact."""
+        force = self.outcome.contact_forces_n[:, 2]
+        if not force.any():
+            return None
+        x, y = 1e3 * (force @ self.outcome.positions_m[:, :2]) / force.sum()
+        return float(x), float(y)
 
     @property
     def travel_mm(self) -> float:
@@ -127,7 +148,7 @@ class Press(Summary):
         return self.outcome.travel_mm
 
     @property
-    def contact_mm2(self) -> float:
+    def area_mm2(self) -> float:
         """Area in contact [mm2]."""
         return math.pi * (1e3 * self.outcome.contact_radius_m) ** 2
 
@@ -136,6 +157,11 @@ class Press(Summary):
         """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]; NaN outside the
         pad."""
         return points_of_heights(self.outcome.height_m, self.plan.profile.grid())
+
+    @property
+    def points_mm(self) -> np.ndarray:
+        """The same [mm]."""
+        return 1e3 * self.points_m
 
     @cached_property
     def height_error(self) -> SignalError:
@@ -163,16 +189,16 @@ class Press(Summary):
         )
 
     @property
-    def _depth_sigma_mm(self) -> float:
+    def _photo_error_mm(self) -> float:
         photo = self.plan.photo
-        return 0.0 if photo is None else photo.depth_sigma_mm or 0.0
+        return 0.0 if photo is None else photo.depth_error_mm or 0.0
 
     @property
     def _signal_sigma_mm(self) -> float:
         """Standard deviation of the depth that heights and image show: of one that was read, or of
         that at which a gel, which is known so far, has the force that was asked for."""
         if self.plan.options.force_n is None or not self.force_n > 0:
-            return self._depth_sigma_mm
+            return self._photo_error_mm
         gel = [cause for cause in self.force_interval.causes if cause.name != "numerical"]
         ends = ForceInterval.of(1.0, tuple(gel))
         share = math.log(ends.high_n / ends.low_n) / 4 / force_power(self.outcome)
@@ -181,7 +207,7 @@ class Press(Summary):
     @property
     def _place_sigma_px(self) -> tuple[float, float]:
         photo, camera = self.plan.photo, self.plan.profile.camera
-        x_mm, y_mm = (0.0, 0.0) if photo is None else photo.at_sigma_mm or (0.0, 0.0)
+        x_mm, y_mm = (0.0, 0.0) if photo is None else photo.at_error_mm or (0.0, 0.0)
         return x_mm / camera.mm_per_px_x, y_mm / camera.mm_per_px_y
 
     @property
@@ -317,7 +343,9 @@ class Press(Summary):
         from taccel_lab.report.figures import draw_press
 
         grid = self.plan.profile.grid()
-        return draw_press(self.image, self.depth_mm, self.contact_mask, grid, self.summary()[0])
+        return draw_press(
+            self.image, 1e3 * self.depth_m, self.contact_mask, grid, self.summary()[0]
+        )
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """Summarise the press: tool, depth, force and contact."""
@@ -326,8 +354,8 @@ class Press(Summary):
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
             ("95 % interval", "{:.3g} to {:.3g} N, of all causes".format(*self.force_interval_n)),
-            ("deepest", f"{with_error(self.deepest_mm, self.height_error.total)} mm"),
-            ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
+            ("depth", f"{with_error(self.depth_mm, self.depth_error_mm)} mm"),
+            ("area", f"{self.area_mm2:.3g} mm2 in contact"),
             ("image", f"{width} x {height} px, {self.colours}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
@@ -337,13 +365,6 @@ class Press(Summary):
         if self.failure is not None:
             rows.append(("stopped", self.failure))
         return f"{options.indenter} pressed {self.travel_mm:.4g} mm into {self.plan.sensor}", rows
-
-    @property
-    def deepest_mm(self) -> float:
-        """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze
-        it."""
-        depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
-        return float(np.nanmax(depth))
 
     def _untouched(self) -> str:
         assert self.like is not None

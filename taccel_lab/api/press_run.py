@@ -252,13 +252,13 @@ def _rough(run: PressRun) -> PressRun:
 
 def _settled(run: PressRun, found: PressPhoto) -> bool:
     """Whether a correction is small; never where no deviation is known."""
-    if found.at_sigma_mm is None or found.depth_sigma_mm is None:
+    if found.at_error_mm is None or found.depth_error_mm is None:
         return False
     options = run.options
     assert options.depth_mm is not None
     moved = np.array([*found.at_mm, found.depth_mm]) - [*options.at_mm, options.depth_mm]
     return bool(
-        (np.abs(moved) < SETTLED * np.array([*found.at_sigma_mm, found.depth_sigma_mm])).all()
+        (np.abs(moved) < SETTLED * np.array([*found.at_error_mm, found.depth_error_mm])).all()
     )
 
 

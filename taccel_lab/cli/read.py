@@ -284,25 +284,9 @@ class Depth:
 
 
 def _depth_lines(path: Path, about: dict[str, Any]) -> list[str]:
-    sigma, (column, row) = about["max_depth_sigma_mm"], about["deepest_px"]
-    depth = f"{about['max_depth_mm']:.3f} " + ("" if sigma is None else f"+- {sigma:.3f} ")
-    said = f"{depth}mm deep at ({column}, {row}) px, {about['touched_mm2']:.2f} mm2 touched"
-    return [
-        f"{path.name}: {said if about['touched'] else about['depth_words']}",
-        *_pressure_lines(about),
-        *(f"  {warning}" for warning in (*about["warnings"], *about["force_remarks"])),
-    ]
-
-
-def _pressure_lines(about: dict[str, Any]) -> list[str]:
-    if "force_n" not in about:
-        return []
-    interval = about["force_interval95_n"]
-    band = "" if interval is None else " (95 %: {:.3g} to {:.3g} N)".format(*interval)
-    return [
-        f"  {about['force_n']:.3g} N{band}, {about['contact_mm2']:.2f} mm2 in contact, "
-        f"pressure up to {1e-3 * about['max_pressure_pa']:.3g} kPa"
-    ]
+    depth, *pressed = about["words"]
+    notes = (*pressed, *about["warnings"], *about["force_remarks"])
+    return [f"{path.name}: {depth}", *(f"  {text}" for text in notes)]
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,9 @@ class ContactPressure:
     """Normal force [N], its integral over the view."""
     force_interval_n: tuple[float, float] | None
     """95 % interval of the force [N]; None where the height's deviation is not known."""
-    contact_mm2: float
+    area_mm2: float
     """Area in contact [mm2]."""
-    contact_interval_mm2: tuple[float, float] | None
+    area_interval_mm2: tuple[float, float] | None
     """95 % interval of the area [mm2], likewise."""
     center_mm: tuple[float, float] | None
     """Centre of pressure in the gel frame [mm]; None without contact."""
@@ -96,22 +96,30 @@ class ContactPressure:
     @property
     def force_words(self) -> str:
         """Force and its interval in words."""
-        words = f"{self.force_n:.3g} N"
-        if self.force_interval_n is not None:
-            words += " (95 %: {:.3g} to {:.3g} N)".format(*self.force_interval_n)
-        return words
+        return _with_interval(self.force_n, self.force_interval_n, "N")
+
+    @property
+    def area_words(self) -> str:
+        """Area, its interval and the largest pressure in words."""
+        area = _with_interval(self.area_mm2, self.area_interval_mm2, "mm2")
+        return f"{area} in contact, pressure up to {1e-3 * float(self.pressure_pa.max()):.3g} kPa"
 
     def figures(self) -> dict[str, Any]:
         """All numbers, ready for JSON."""
         return {
             "force_n": self.force_n,
-            "force_interval95_n": self.force_interval_n and list(self.force_interval_n),
-            "contact_mm2": self.contact_mm2,
-            "contact_interval95_mm2": self.contact_interval_mm2 and list(self.contact_interval_mm2),
-            "max_pressure_pa": float(self.pressure_pa.max()),
-            "center_of_pressure_mm": self.center_mm and list(self.center_mm),
+            "force_interval_n": self.force_interval_n and list(self.force_interval_n),
+            "area_mm2": self.area_mm2,
+            "area_interval_mm2": self.area_interval_mm2 and list(self.area_interval_mm2),
+            "max_pressure_kpa": 1e-3 * float(self.pressure_pa.max()),
+            "center_mm": self.center_mm and list(self.center_mm),
             "force_remarks": list(self.remarks),
         }
+
+
+def _with_interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
+    words = f"{value:.3g} {unit}"
+    return words if ends is None else words + f" (95 %: {ends[0]:.3g} to {ends[1]:.3g} {unit})"
 
 
 class PressureReader:
@@ -325,8 +333,8 @@ class PressureReader:
             pressure_pa=self.pa * fine,
             force_n=self._force_n(pressure),
             force_interval_n=interval,
-            contact_mm2=self._area_mm2(pressure),
-            contact_interval_mm2=areas,
+            area_mm2=self._area_mm2(pressure),
+            area_interval_mm2=areas,
             center_mm=center,
             remarks=(*self._about, *limits),
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,6 +34,8 @@ from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 Method = Literal["auto", "normals", "depth"]
+GUESSED_SHARE = 0.5
+"""Part of what is touched beyond the calibration from which no depth is given."""
 
 
 @dataclass(frozen=True)
@@ -154,25 +156,33 @@ class Reader:
         why = self.unlike(lit)
         if why:
             raise InputError(f"{name} {why}")
-        found = self.pressed(self._within_the_gel(self.surface(lit, name)), time_s)
+        found = self.pressed(self._credible(self.surface(lit, name)), time_s)
         self.clock.begin()
         return found
 
-    def _within_the_gel(self, found: Reading) -> Reading:
-        """The reading; InputError where it is deeper than the gel is thick, or may be."""
+    def _credible(self, found: Reading) -> Reading:
+        """The reading; InputError where it is deeper than the gel is thick, or may be, or mostly a
+        guess."""
+        inside = found.touch.pixels
+        if found.beyond_balls is not None and found.touch.any:
+            beyond = float(found.beyond_balls[inside].mean())
+            if beyond > GUESSED_SHARE:
+                raise InputError(
+                    f"{found.name} is read in vain: {beyond:.0%} of what is touched is steeper "
+                    "than any ball that was captured; no depth is given"
+                )
         deepest_mm, gel_mm = 1e3 * float(found.depth_m.max()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
                 f"{found.name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its "
                 "colours are not those that were calibrated"
             )
-        if found.height_sigma_m is not None:
-            sigma_mm = 1e3 * float(found.height_sigma_m[found.deepest_px])
-            if sigma_mm > gel_mm:
-                raise InputError(
-                    f"{found.name} reads {deepest_mm:.1f} +- {sigma_mm:.1f} mm deep in a gel of "
-                    f"{gel_mm:g} mm: the profile does not know its colours or its light"
-                )
+        sigma_mm = found.depth_error_mm or 0.0
+        if sigma_mm > gel_mm:
+            raise InputError(
+                f"{found.name} reads {deepest_mm:.1f} +- {sigma_mm:.1f} mm deep in a gel of "
+                f"{gel_mm:g} mm: the profile does not know its colours or its light"
+            )
         return found
 
     def unlike(self, lit: LitImage) -> str:
@@ -267,29 +277,18 @@ class Reader:
     def _by_depth(self, lit: LitImage, name: str) -> Reading:
         assert self.response is not None
         found = self.response.read(lit.levels, self.background, lit.mask)
-        height = self.rest.height_m + found.height_m
         sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
         if sigma_m is not None and alone_m is not None:
             light_m = 1e-3 * grey_light_sigma_mm(
                 self.response, lit.light, self.background, found.depth_mm
             )
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
-        return Reading(
-            grid=self.grid,
-            image=lit.image,
-            name=name,
-            no_press=self.no_press,
-            height_m=height,
-            depth_m=-found.height_m,
-            height_sigma_m=sigma_m,
-            reading_sigma_m=alone_m,
-            normals=normals_from_height(height, self.grid),
-            saturated=found.saturated,
+        return self._reading(
+            lit, name, found.height_m, sigma_m, alone_m,
             method="depth",
-            touch=touch_of(found.height_m, alone_m, self.grid),
-            sigma_of=self.sigma_of,
-            remarks=self._remarks(lit),
-        )
+            normals=normals_from_height(self.rest.height_m + found.height_m, self.grid),
+            saturated=found.saturated,
+        )  # fmt: skip
 
     def _heights(self, lit: LitImage, *, every: int = 1, uncertainty: bool = True) -> ReadHeights:
         assert self.normal_model is not None
@@ -315,27 +314,38 @@ class Reader:
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
+        return self._reading(
+            lit, name, found.rise_m, sigma_m, alone_m,
+            method="normals",
+            normals=read.normals,
+            sigma_deg=read.sigma_deg,
+            radius95_deg=read.radius95_deg,
+            beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
+        )  # fmt: skip
+
+    def _reading(
+        self,
+        lit: LitImage,
+        name: str,
+        rise_m: np.ndarray,
+        sigma_m: np.ndarray | None,
+        alone_m: np.ndarray | None,
+        **by_method: Any,
+    ) -> Reading:
         return Reading(
             grid=self.grid,
             image=lit.image,
             name=name,
             no_press=self.no_press,
-            height_m=self.rest.height_m + found.rise_m,
-            depth_m=-found.rise_m,
+            height_m=self.rest.height_m + rise_m,
+            depth_m=-rise_m,
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
-            normals=read.normals,
-            sigma_deg=read.sigma_deg,
-            radius95_deg=read.radius95_deg,
-            beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
-            method="normals",
-            touch=touch_of(found.rise_m, alone_m, self.grid),
+            touch=touch_of(rise_m, alone_m, self.grid),
             sigma_of=self.sigma_of,
-            remarks=self._remarks(lit),
+            remarks=(*self.remarks, lit.remark) if lit.remark else self.remarks,
+            **by_method,
         )
-
-    def _remarks(self, lit: LitImage) -> tuple[str, ...]:
-        return (*self.remarks, lit.remark) if lit.remark else self.remarks
 
     @property
     def _rest_normals(self) -> np.ndarray | None:

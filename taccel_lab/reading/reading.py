@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that one image tells of a touch."""
+"""All that one image tells of a touch: one depth, one area, one force, whoever shows them."""
 
 from __future__ import annotations
 
@@ -103,9 +103,27 @@ class Reading(Summary):
     """Why there is none, a sentence."""
 
     @property
-    def pressure_pa(self) -> np.ndarray:
-        """Contact pressure [Pa], at least 0, shape [height_px, width_px]."""
-        return self._press.pressure_pa
+    def depth_mm(self) -> float:
+        """Depth of the deepest place that is touched [mm]; 0 where nothing touches."""
+        return 1e3 * float(self.depth_m[self.deepest_px]) if self.touch.any else 0.0
+
+    @property
+    def depth_error_mm(self) -> float | None:
+        """Standard deviation of ``depth_mm``; None where the profile states none."""
+        sigma_m = self.height_sigma_m
+        return None if sigma_m is None else 1e3 * float(sigma_m[self.deepest_px])
+
+    @property
+    def depth_interval_mm(self) -> tuple[float, float] | None:
+        """95 % interval of ``depth_mm``, from 0 where nothing touches; None where the profile
+        states no deviation."""
+        error = self.depth_error_mm
+        if error is None:
+            return None
+        if not self.touch.any:
+            return 0.0, self.touch.unseen_mm
+        depth, off = self.depth_mm, NORMAL_95 * error
+        return max(depth - off, 0.0), depth + off
 
     @property
     def force_n(self) -> float:
@@ -118,9 +136,39 @@ class Reading(Summary):
         return self._press.force_interval_n
 
     @property
-    def contact_mm2(self) -> float:
+    def area_mm2(self) -> float:
         """Area in contact [mm2]."""
-        return self._press.contact_mm2
+        return self._press.area_mm2
+
+    @property
+    def area_interval_mm2(self) -> tuple[float, float] | None:
+        """95 % interval of the area [mm2]; None as of the force."""
+        return self._press.area_interval_mm2
+
+    @property
+    def center_mm(self) -> tuple[float, float] | None:
+        """Centre of pressure in the gel frame [mm]; None without contact."""
+        return self._press.center_mm
+
+    @property
+    def pressure_pa(self) -> np.ndarray:
+        """Contact pressure [Pa], at least 0, shape [height_px, width_px]."""
+        return self._press.pressure_pa
+
+    @property
+    def pressure_kpa(self) -> np.ndarray:
+        """The same [kPa]."""
+        return 1e-3 * self.pressure_pa
+
+    @property
+    def points_m(self) -> np.ndarray:
+        """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]."""
+        return points_of_heights(self.height_m, self.grid)
+
+    @property
+    def points_mm(self) -> np.ndarray:
+        """The same [mm]."""
+        return 1e3 * self.points_m
 
     @property
     def _press(self) -> ContactPressure:
@@ -128,23 +176,46 @@ class Reading(Summary):
             raise InputError(self.no_press)
         return self.press
 
+    @property
+    def depth_words(self) -> str:
+        """Depth, its standard deviation and its place, or that nothing touches."""
+        if not self.touch.any:
+            return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
+        row, column = self.deepest_px
+        return f"{with_error(self.depth_mm, self.depth_error_mm)} mm deep at ({column}, {row}) px"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Depth, force and area with their errors, a line each, as pages and commands show them."""
+        if self.press is None:
+            return (self.depth_words,)
+        force = f"{self.press.force_words}, by the contact of an elastic layer"
+        return self.depth_words, force, self.press.area_words
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know before trusting it, a sentence each."""
+        figures = self.figures()
+        return (*figures["warnings"], *figures["force_remarks"])
+
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """Depth, force and contact, by which model, and what the force rests on."""
         height, width = self.depth_m.shape
-        rows = [
-            ("deepest", self.depth_words),
-            ("pixels", f"{width} x {height}"),
-            *(("note", remark) for remark in self.remarks),
-        ]
         title, press = f"surface read from {self.method}", self.press
+        named = zip(("depth", "force", "area"), self.words, strict=False)
+        rows: list[tuple[str, str]] = [*named, ("pixels", f"{width} x {height}")]
+        notes = self.remarks
         if press is None:
-            return title, [*rows, ("force", self.no_press)]
-        rows.append(("force", f"{press.force_words}, by the contact of an elastic layer"))
-        peak = 1e-3 * float(press.pressure_pa.max())
-        rows.append(("contact", f"{press.contact_mm2:.3g} mm2, pressure up to {peak:.3g} kPa"))
-        if press.center_mm is not None:
-            rows.append(("centre", "({:.2f}, {:.2f}) mm in the gel frame".format(*press.center_mm)))
-        return title, [*rows, *(("note", text) for text in press.remarks)]
+            rows.append(("force", self.no_press))
+        else:
+            if press.center_mm is not None:
+                at = "({:.2f}, {:.2f}) mm in the gel frame".format(*press.center_mm)
+                rows.append(("centre", at))
+            notes = (
+                *notes,
+                *press.remarks,
+            )
+        return title, [*rows, *(("note", text) for text in notes)]
 
     @property
     def deepest_px(self) -> tuple[int, int]:
@@ -155,33 +226,8 @@ class Reading(Summary):
         row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
         return int(row), int(column)
 
-    @property
-    def depth_interval_mm(self) -> tuple[float, float] | None:
-        """95 % interval of the deepest place [mm], from 0 where nothing touches; None where the
-        profile states no deviation."""
-        if self.height_sigma_m is None:
-            return None
-        if not self.touch.any:
-            return 0.0, self.touch.unseen_mm
-        at = self.deepest_px
-        depth, off = 1e3 * float(self.depth_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
-        return max(depth - off, 0.0), depth + off
-
-    @property
-    def depth_words(self) -> str:
-        """Depth and its standard deviation, or that nothing touches, in words."""
-        row, column = self.deepest_px
-        if not self.touch.any:
-            return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
-        sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
-        depth = with_error(
-            1e3 * self.depth_m[row, column], None if sigma_m is None else 1e3 * sigma_m
-        )
-        return f"{depth} mm at ({column}, {row}) px"
-
     def figures(self) -> dict[str, Any]:
         """All numbers, ready for JSON."""
-        depth_mm = 1e3 * self.depth_m
         row, column = self.deepest_px
         touched = self.touch.pixels
         pixel_mm2 = self.grid.mm_per_px_x * self.grid.mm_per_px_y
@@ -189,18 +235,16 @@ class Reading(Summary):
         found: dict[str, Any] = {
             "method": self.method,
             "touched": self.touch.any,
-            "depth_words": self.depth_words,
-            "max_depth_mm": float(depth_mm[row, column]) if self.touch.any else 0.0,
-            "max_depth_interval95_mm": self.depth_interval_mm and list(self.depth_interval_mm),
-            "max_depth_sigma_mm": None
-            if self.height_sigma_m is None
-            else float(1e3 * self.height_sigma_m[row, column]),
+            "words": list(self.words),
+            "depth_mm": self.depth_mm,
+            "depth_error_mm": self.depth_error_mm,
+            "depth_interval_mm": self.depth_interval_mm and list(self.depth_interval_mm),
             "sigma_of": self.sigma_of,
             "deepest_px": [int(column), int(row)],
-            "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
-            "touched_mm2": float(touched.sum() * pixel_mm2),
-            "touched_deeper_than_mm": self.touch.least_mm,
-            "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
+            "deepest_mm": [float(at_mm[0]), float(at_mm[1])],
+            "dent_mm2": float(touched.sum() * pixel_mm2),
+            "dent_deeper_than_mm": self.touch.least_mm,
+            "dent_mm3": 1e3 * float(self.depth_m[touched].sum() * pixel_mm2),
         }
         inside = touched if touched.any() else np.ones_like(touched)
         if self.sigma_deg is not None:
@@ -208,7 +252,7 @@ class Reading(Summary):
         if self.radius95_deg is not None:
             found["radius95_deg"] = float(self.radius95_deg[inside].mean())
         if self.height_sigma_m is not None:
-            found["depth_sigma_mm"] = float(1e3 * self.height_sigma_m[inside].mean())
+            found["mean_depth_error_mm"] = float(1e3 * self.height_sigma_m[inside].mean())
         if self.beyond_balls is not None:
             found["beyond_balls_share"] = float(self.beyond_balls[inside].mean())
         if self.saturated is not None:
@@ -235,11 +279,6 @@ class Reading(Summary):
                 "captured; it is at least as deep as it reads"
             )
         return said
-
-    @property
-    def points_m(self) -> np.ndarray:
-        """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]."""
-        return points_of_heights(self.height_m, self.grid)
 
     def save(self, folder: Path | str) -> None:
         """Write arrays, picture, figures and surface as the folder, whole or not at all.
@@ -281,6 +320,6 @@ class Reading(Summary):
     def _drawn(self, title: str) -> Figure:
         press = self.press
         pressure_pa, words = (None, "") if press is None else (press.pressure_pa, press.force_words)
-        return draw_maps(
-            self.image, self.depth_m, self.height_sigma_m, pressure_pa, self.grid, (title, words)
-        )
+        titles = title, self.depth_words, words
+        maps = self.image, self.depth_m, self.height_sigma_m, pressure_pa
+        return draw_maps(*maps, self.grid, self.deepest_px, titles)

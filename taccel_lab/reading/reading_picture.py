@@ -25,7 +25,8 @@ def draw_maps(
     sigma_m: np.ndarray | None,
     pressure_pa: np.ndarray | None,
     grid: PixelGrid,
-    titles: tuple[str, str],
+    deepest_px: tuple[int, int],
+    titles: tuple[str, str, str],
 ) -> Figure:
     """Image, depth and pressure maps, and the section through the deepest pixel.
 
@@ -34,7 +35,8 @@ def draw_maps(
         depth_m: Depth [m], shape [height_px, width_px].
         sigma_m: Its standard deviation [m], likewise; None where it is not known.
         pressure_pa: Pressure [Pa], likewise; None where there is none.
-        titles: Over the image, and over the pressure.
+        deepest_px: Row and column that the sections go through, and whose depth ends the scale.
+        titles: Over image, depth and pressure.
     """
     depth_mm = 1e3 * depth_m
     extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
@@ -43,19 +45,19 @@ def draw_maps(
         maps.append(("pressure [kPa]", 1e-3 * pressure_pa, "magma"))
     pictures = len(maps) + 1
     figure, axes = new_figure(3.7 * (pictures + 1), 3.3, 1, pictures + 1)
-    axes[0].set_title(titles[0], fontsize="medium")
     axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
     for ax, (label, values, colors) in zip(axes[1:pictures], maps, strict=True):
-        most = max(float(values.max()), LEAST_KPA) if colors == "magma" else None
-        low = None if most is None else 0.0
+        if values is depth_mm:
+            low, most = None, float(depth_mm[deepest_px])
+        else:
+            low, most = 0.0, max(float(values.max()), LEAST_KPA)
         shown = ax.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=most)
         figure.colorbar(shown, ax=ax, shrink=0.8).set_label(label)
-    if pressure_pa is not None:
-        axes[pictures - 1].set_title(titles[1], fontsize="medium")
-    for ax in axes[:pictures]:
+    for ax, title in zip(axes[:pictures], titles, strict=False):
+        ax.set_title(title, fontsize="medium")
         ax.set_xlabel("x [mm]")
     axes[0].set_ylabel("y [mm]")
-    row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
+    row, column = deepest_px
     x = np.arange(grid.width_px) * grid.mm_per_px_x
     y = np.arange(grid.height_px) * grid.mm_per_px_y
     axes[-1].axhline(0, color=LIGHT, lw=0.8)

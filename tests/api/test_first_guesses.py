@@ -75,10 +75,10 @@ PROMISES: dict[str, Callable[[SimpleNamespace], bool]] = {
     ),
     "press.force_n": lambda my: my.press.force_n > 0,
     "press.travel_mm": lambda my: (
-        abs(my.press.travel_mm - 0.3) < 1e-9 and abs(np.nanmax(my.press.depth_mm) - 0.3) < 0.02
+        abs(my.press.travel_mm - 0.3) < 1e-9 and abs(my.press.depth_mm - 0.3) < 0.02
     ),
-    "press.contact_mm2": lambda my: 0.5 < my.press.contact_mm2 < 10,
-    "press.points_m": lambda my: are_points(my.press.points_m, 1e-3 * my.press.height_mm),
+    "press.area_mm2": lambda my: 0.5 < my.press.area_mm2 < 10,
+    "press.points_m": lambda my: are_points(my.press.points_m, my.press.height_m),
     "press.save_ply": lambda my: is_surface(my.press, my.folder / "press.ply"),
     "reading.depth_m": lambda my: is_dent(my.reading.depth_m, my),
     "reading.normals": lambda my: my.reading.normals.shape == my.image.shape,
@@ -131,7 +131,7 @@ def test_a_reading_is_saved_with_its_surface(my: SimpleNamespace) -> None:
     assert {f"press_2.{suffix}" for suffix in ("npz", "png", "json", "ply")} <= kept
     figures = json.loads((my.folder / "reading" / "press_2.json").read_text())
     assert figures["image"] == str(my.folder / "shots" / "press_2.png")
-    assert figures["max_depth_mm"] == pytest.approx(DEPTH_MM, abs=0.02)
+    assert figures["depth_mm"] == pytest.approx(DEPTH_MM, abs=0.02)
 
 
 def test_depth_is_zero_within_its_interval_on_an_untouched_curved_gel() -> None:

@@ -190,7 +190,7 @@ def read_halves(figure: str, changes: dict[str, Any]) -> np.ndarray:
         return np.abs(np.array(found.depth_interval_mm) - 1e3 * found.depth_m.max())
     value, ends = found.force_n, found.force_interval_n
     if figure == "area":
-        value, ends = found.contact_mm2, found.press.contact_interval_mm2
+        value, ends = found.area_mm2, found.press.area_interval_mm2
     return np.abs(np.log(np.array(ends) / value))
 
 
@@ -298,7 +298,7 @@ def press(changes: dict[str, Any]) -> Press:
     )
     photo = None
     if "photo" in asked:
-        sigmas = {"at_sigma_mm": None, "depth_sigma_mm": None, **asked["photo"]}
+        sigmas = {"at_error_mm": None, "depth_error_mm": None, **asked["photo"]}
         photo = SimpleNamespace(**sigmas)
     aim = {"depth_mm": DEPTH_MM} if "force_n" not in asked else {"force_n": asked["force_n"]}
     options = PressOptions(indenter=BALL, friction=asked.get("friction"), **aim)
@@ -363,14 +363,14 @@ PRESSED: dict[tuple[str, str], Row] = {
         lambda k: logs(1 - 0.2 * 0.2 * k, 1 + 0.2 * 0.1 * k),
     ),
     ("force", "depth"): Row(
-        lambda k: photo(depth_sigma_mm=0.02 * k),
+        lambda k: photo(depth_error_mm=0.02 * k),
         lambda k: logs((1 - 0.04 * k / DEPTH_MM) ** 1.5, (1 + 0.04 * k / DEPTH_MM) ** 1.5),
     ),
     ("height", "depth"): Row(
-        lambda k: photo(depth_sigma_mm=0.02 * k), lambda k: same(0.04 * k * DEEPER)
+        lambda k: photo(depth_error_mm=0.02 * k), lambda k: same(0.04 * k * DEEPER)
     ),
     ("image", "depth"): Row(
-        lambda k: photo(depth_sigma_mm=0.02 * k), lambda k: same(0.04 * k * DEEPER * TINT)
+        lambda k: photo(depth_error_mm=0.02 * k), lambda k: same(0.04 * k * DEEPER * TINT)
     ),
     # As force grows by the power of 1.5, and the other way round.
     **{
@@ -383,7 +383,7 @@ PRESSED: dict[tuple[str, str], Row] = {
     },
     **{
         (figure, f"place along {axis}"): Row(
-            lambda k, at=at: photo(at_sigma_mm=(k * at[0], k * at[1])),
+            lambda k, at=at: photo(at_error_mm=(k * at[0], k * at[1])),
             lambda k, at=at, unit=unit: same(2 * k * unit * math.hypot(*(at * LEANS))),
             1e-3,
         )

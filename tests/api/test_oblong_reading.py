@@ -28,12 +28,12 @@ def test_a_ball_is_read_where_it_is_and_as_large_as_it_is() -> None:
     profile = grey_profile()
     found = tl.read(profile, ball_image(profile))
     figures, truth = found.figures(), ball_depth_mm()
-    assert figures["deepest_gel_mm"] == pytest.approx(AT_MM, abs=0.11)
-    assert figures["center_of_pressure_mm"] == pytest.approx(AT_MM, abs=0.03)
-    assert figures["max_depth_mm"] == pytest.approx(DEPTH_MM, rel=0.01)
-    touched = truth > figures["touched_deeper_than_mm"]
-    assert figures["touched_mm2"] == pytest.approx(touched.sum() * 0.1**2, rel=0.03)
-    assert figures["volume_mm3"] == pytest.approx(truth[touched].sum() * 0.1**2, rel=0.03)
+    assert figures["deepest_mm"] == pytest.approx(AT_MM, abs=0.11)
+    assert figures["center_mm"] == pytest.approx(AT_MM, abs=0.03)
+    assert figures["depth_mm"] == pytest.approx(DEPTH_MM, rel=0.01)
+    touched = truth > figures["dent_deeper_than_mm"]
+    assert figures["dent_mm2"] == pytest.approx(touched.sum() * 0.1**2, rel=0.03)
+    assert figures["dent_mm3"] == pytest.approx(truth[touched].sum() * 0.1**2, rel=0.03)
     force = layer_force_n("sphere", np.array(DEPTH_MM), BALL_MM, THICK_MM, NU, PA)
     assert found.force_n == pytest.approx(float(force), rel=0.03)
 

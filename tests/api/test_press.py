@@ -97,8 +97,9 @@ def test_what_a_press_says(pressed, tmp_path, monkeypatch):
     assert pressed.force_n == pressed.wrench[2] > 0 < pressed.force_error_n
     # Friction is the profile's unless another one is given.
     assert pressed.plan.friction == profile.material.friction_coefficient > 0
-    assert pressed.height_mm.shape == pressed.contact_mask.shape == shape
-    assert np.nanmax(pressed.depth_mm) == pytest.approx(0.3, abs=0.01)
+    assert pressed.height_m.shape == pressed.contact_mask.shape == shape
+    assert pressed.depth_mm == pytest.approx(0.3, abs=0.01)
+    assert pressed.center_mm == pytest.approx((0.0, 0.0), abs=0.02)
     assert pressed.image.dtype == np.uint8 and pressed.image.shape == (*shape, 3)
     assert pressed.markers is None
     text = repr(pressed)
@@ -111,11 +112,11 @@ def test_what_a_press_says(pressed, tmp_path, monkeypatch):
     assert {"press.json", "scene.png", "signals.npz", "gel.vtu"} <= written
     # The deepest place is that of the contact: a ray that grazes a dome's border finds a large
     # depth there, without any.
-    deepest, grazed = dict(pressed.summary()[1])["deepest"], pressed.depth_mm.copy()
-    grazed[0, 0] = 9.0
+    deepest, grazed = dict(pressed.summary()[1])["depth"], pressed.depth_m.copy()
+    grazed[0, 0] = 9e-3
     assert not pressed.contact_mask[0, 0]
-    monkeypatch.setattr(type(pressed), "depth_mm", property(lambda _: grazed))
-    assert dict(pressed.summary()[1])["deepest"] == deepest
+    monkeypatch.setattr(type(pressed), "depth_m", property(lambda _: grazed))
+    assert dict(pressed.summary()[1])["depth"] == deepest
 
 
 def test_the_command_has_the_same_options_and_defaults():

@@ -63,14 +63,14 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo, tmp_path, capsys, mo
     assert (tmp_path / "out" / "like.png").stat().st_size > 10_000
     written = json.loads((tmp_path / "out" / "press.json").read_text())
     assert written["at_mm"] == pytest.approx(like["at_mm"])
-    for name in ("psnr_db", "at_sigma_mm"):
+    for name in ("psnr_db", "at_error_mm"):
         assert written["like"][name] == pytest.approx(like[name])
     # The table says what press.json does.
     said = " ".join((found.out + found.err).split())
     like = written["like"]
-    for axis, at, sigma in zip("xy", like["at_mm"], like["at_sigma_mm"], strict=True):
+    for axis, at, sigma in zip("xy", like["at_mm"], like["at_error_mm"], strict=True):
         assert f"place in the photo, {axis} {with_error(at, sigma)}" in said
-    depth = with_error(like["depth_mm"], like["depth_sigma_mm"])
+    depth = with_error(like["depth_mm"], like["depth_error_mm"])
     assert " +- " in depth and f"depth in the photo {depth}" in said
 
 
@@ -94,7 +94,7 @@ def test_presses_are_found_within_their_deviations(tool, at_mm, depth_mm, unit, 
     found = tl.press(unit, tool, like=tmp_path / "photo.png")
     like = found.like
     off = np.abs(np.array([*like["at_mm"], like["depth_mm"]]) - [*at_mm, depth_mm])
-    assert (off < 0.5 * np.array([*like["at_sigma_mm"], like["depth_sigma_mm"]])).all()
+    assert (off < 0.5 * np.array([*like["at_error_mm"], like["depth_error_mm"]])).all()
     assert (off < 0.03).all()
     assert found.force_n == pytest.approx(true.force_n, rel=0.03)
 
@@ -135,7 +135,7 @@ def test_place_and_depth_of_a_reading():
     assert found.whole and not seen((2.9, 0.0)).whole
     np.testing.assert_allclose(found.at_mm, (0.6, -0.3), atol=5e-3)
     assert found.depth_mm == pytest.approx(0.4, abs=1e-3)
-    assert found.at_sigma_mm is None and found.depth_sigma_mm is None
+    assert found.at_error_mm is None and found.depth_error_mm is None
     assert seen(depth_mm=0.04) is None
 
 
@@ -144,13 +144,13 @@ def test_a_leaning_paraboloid_moves_by_its_radius(sigma_mm):
     """Its lean times its radius: a plane added to ``x^2 / 2R`` moves its vertex by that."""
     found = seen(sigma_mm=sigma_mm)
     rim_mm = np.sqrt(RADIUS_MM * 0.4)
-    np.testing.assert_allclose(found.at_sigma_mm, RADIUS_MM * sigma_mm / rim_mm, rtol=0.1)
-    assert found.depth_sigma_mm == pytest.approx(2 * sigma_mm)
+    np.testing.assert_allclose(found.at_error_mm, RADIUS_MM * sigma_mm / rim_mm, rtol=0.1)
+    assert found.depth_error_mm == pytest.approx(2 * sigma_mm)
 
 
 def test_on_a_slope_the_place_is_less_certain_along_it():
     lean = 0.05
-    found, level = (seen(sigma_mm=0.005, lean=by).at_sigma_mm for by in (lean, 0.0))
+    found, level = (seen(sigma_mm=0.005, lean=by).at_error_mm for by in (lean, 0.0))
     assert found[0] == pytest.approx(np.hypot(0.5 * lean * RADIUS_MM, level[0]), rel=0.1)
     assert found[1] == pytest.approx(level[1], rel=0.02)
 

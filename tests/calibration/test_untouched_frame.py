@@ -51,7 +51,7 @@ def middle(number: int) -> np.ndarray:
 
 def touched_mm2(found: UntouchedFrame, image: np.ndarray) -> float:
     reader = Reader(found.profile, background=found.image)
-    return reader.read(image).figures()["touched_mm2"]
+    return reader.read(image).figures()["dent_mm2"]
 
 
 @pytest.mark.thorough

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import taccel_lab as tl
 from tests.cli.conftest import Cli
 from tests.support.real_data import real_data
 
@@ -61,7 +62,11 @@ def test_depth_read_and_live_find_it_and_say_the_same(
     assert [row["name"] for row in rows] == ["background.png", "bead.png"]
     assert rows[1]["remarks"] == remarks and rows[0]["force_n"] == 0
     assert all(remark in " ".join(printed.split()) for remark in remarks)
-    assert rows[1]["depth_mm"] == pytest.approx(about["max_depth_mm"], abs=1e-3)
     live = cli.json("live gelsight_mini", "--camera", photos, "--no-page", "--no-paced")
     assert live["latency"]["frames"] == 2
+    called = tl.read("gelsight_mini", photos / "bead.png")
+    for name in ("depth_mm", "depth_error_mm", "area_mm2", "force_n"):
+        number = getattr(called, name)
+        assert number > 0 and number == about[name] == rows[1][name] == live["last"][name], name
+    assert about["words"] == live["last"]["words"] == list(called.words)
     assert {STARTER, found} <= {f"{text[0].lower()}{text[1:-1]}" for text in live["remarks"]}

@@ -73,10 +73,10 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
     image = str(presses / "p3.png")
     found = cli.json("depth profile", image, "--out", "depths")["images"]["p3"]
     assert found["method"] == "normals"
-    assert 0.2 < found["max_depth_mm"] < 1.2
+    assert 0.2 < found["depth_mm"] < 1.2
     with np.load("depths/p3.npz") as stored:
         assert stored["height_m"].shape == (GRID.height_px, GRID.width_px)
-        assert 1e3 * stored["depth_m"].max() == pytest.approx(found["max_depth_mm"], rel=1e-5)
+        assert 1e3 * stored["depth_m"].max() == pytest.approx(found["depth_mm"], rel=1e-5)
         assert {"normals", "sigma_deg", "radius95_deg"} <= set(stored.files)
     assert Path("depths/p3.png").stat().st_size > 5000
     assert json.loads(Path("depths/p3.json").read_text())["image"] == image
@@ -115,7 +115,7 @@ def test_grey_depth(tmp_path: Path, cli: Cli) -> None:
     words = ["depth", profile, folder / "ball.png", "--out", tmp_path / "depths"]
     found = cli.json(*words)["images"]["ball"]
     assert found["method"] == "depth"
-    assert found["max_depth_mm"] == pytest.approx(depth.max(), abs=0.08)
+    assert found["depth_mm"] == pytest.approx(depth.max(), abs=0.08)
 
     # The same through maps that shift it and reach past the raw picture, where nothing is read.
     v, u = np.mgrid[: GRID.height_px, : GRID.width_px].astype(np.float32)
@@ -124,8 +124,8 @@ def test_grey_depth(tmp_path: Path, cli: Cli) -> None:
     maps.save(tmp_path / "maps.npz")
     words += ["--maps", tmp_path / "maps.npz"]
     moved = cli.json(*words)["images"]["ball"]
-    assert moved["max_depth_mm"] == pytest.approx(found["max_depth_mm"], abs=0.01)
-    assert moved["touched_mm2"] == pytest.approx(found["touched_mm2"], rel=0.05)
+    assert moved["depth_mm"] == pytest.approx(found["depth_mm"], abs=0.01)
+    assert moved["dent_mm2"] == pytest.approx(found["dent_mm2"], rel=0.05)
     replace(maps, raw_size_px=(640, 480)).save(tmp_path / "maps.npz")
     assert "the maps were made for images of 640x480 px" in cli.refusal(*words)
     small = replace(maps.require_grid(), width_px=50)

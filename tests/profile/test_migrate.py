@@ -143,13 +143,13 @@ def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:
     assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
     for reading, figures in (read(old(5), "auto"), read(old(8), "depth")):
         assert reading.height_sigma_m is None
-        assert figures["max_depth_sigma_mm"] is None and figures["sigma_of"] is None
+        assert figures["depth_error_mm"] is None and figures["sigma_of"] is None
         assert "does not say how uncertain" in figures["warnings"][0]
     assert NormalModel.from_profile(old(8)).config.along_factor == 0
     reading, figures = read(old(8), "auto")
     assert reading.height_sigma_m is not None and reading.reading_sigma_m is not None
     assert (reading.height_sigma_m == reading.reading_sigma_m).all()
-    assert figures["sigma_of"] == "reading alone" and figures["max_depth_sigma_mm"] > 0
+    assert figures["sigma_of"] == "reading alone" and figures["depth_error_mm"] > 0
     assert "+- is that of the reading alone" in figures["warnings"][0]
 
 

@@ -75,7 +75,7 @@ def grey_unit() -> GreyUnit:
     captures = captures_of(CIRCLES, noise=1.0)
     rest = captures.background.astype(np.uint8)
     captures = replace(captures, background=rest)
-    profile = fit_depth(captures, RIM).apply_to(flat_profile(GRID))
+    profile = fit_depth(captures, RIM).apply_to(flat_profile(GRID, thickness_mm=4.0))
     return GreyUnit(captures, profile, rest, quantise(captures.presses[2].image()))
 
 
@@ -181,7 +181,7 @@ def test_profile_and_report(tmp_path: Path) -> None:
     assert found.method == "depth" and found.sigma_deg is None
     figures = found.figures()
     assert figures["sigma_of"] == "absolute depth" and not figures["warnings"]
-    assert figures["max_depth_sigma_mm"] >= result.zero_sigma_mm
+    assert figures["depth_error_mm"] >= result.zero_sigma_mm
     circle = ContactCircle(100.0, 70.0, 28.0)
     new, exact = (captures_of([circle], noise, 9).presses[0].image() for noise in (1.0, 0.0))
     read, drop = Reader(profile).read(new), (captures.background - exact)[..., 0]

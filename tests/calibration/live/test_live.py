@@ -7,6 +7,7 @@ import io
 import re
 import threading
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import NormalsBlock, SensorProfile
-from taccel_lab.reading.reading import Reading
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.faults import quantise
@@ -91,18 +91,28 @@ def reader_of(profile: SensorProfile | None = None, **how: Any) -> LiveReader:
     return LiveReader(profile or grey_unit().profile, grey_unit().rest.astype(np.float32), **how)
 
 
+def colored_unit(**config: float) -> tuple[SensorProfile, np.ndarray, list[np.ndarray]]:
+    """Networks of the real architecture on a small grid, their untouched gel and two presses."""
+    grid = PixelGrid(160, 120, 0.12, 0.12)
+    model, (images, light, _) = networks(grid, "cpu"), presses(grid, 2)
+    settings = replace(model.config, **config)
+    normals = NormalsBlock(architecture=settings.to_dict(), provenance=ASSUMED)
+    flat = flat_profile(grid, thickness_mm=4.0)
+    return flat.with_block(normals, dict(model.weights)), quantise(light), list(images)
+
+
 @pytest.mark.thorough
 def test_a_press_is_read_and_timed(tmp_path: Path) -> None:
     watching = Watching()
     result = followed(rest_then_press(tmp_path / "frames"), watching)
     assert watching.told[0].startswith("Touch nothing") and watching.told[-1] == ""
     first, last = watching.readings[0], watching.readings[-1]
-    assert last.figures["max_depth_mm"] == pytest.approx(DEEPEST_MM, abs=0.1)
-    assert first.figures["touched_mm2"] < 1.0
+    assert last.figures["depth_mm"] == pytest.approx(DEEPEST_MM, abs=0.1)
+    assert first.figures["dent_mm2"] < 1.0
     found = result.latency.figures()
     assert found["frames"] == len(watching.readings) and found["rate_hz"] > 0
-    assert set(found["stages_ms"]) >= {"light", "depth", "pictures", "wait"}
-    assert 0 < found["stages_ms"]["depth"]["median"] <= found["busy_ms"]["median"]
+    assert set(found["stages_ms"]) >= {"light", "heights", "pictures", "wait"}
+    assert 0 < found["stages_ms"]["heights"]["median"] <= found["busy_ms"]["median"]
     assert result.reader is not None
     shown = dict(live.pictures(last, result.reader.background))
     assert {"camera", "change", "normals"} <= set(shown)
@@ -120,16 +130,10 @@ def test_photos_without_a_rest_say_what_was_waited_for(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_a_frame_reads_alike_whatever_was_read_before_and_by_whichever_reader() -> None:
     """To the bit, by networks and by depths: live, one by one, and as a list in any order."""
-    grid, unit = PixelGrid(160, 120, 0.12, 0.12), grey_unit()
-    model, (images, light, _) = networks(grid, "cpu"), presses(grid, 2)
-    normals = NormalsBlock(architecture=model.config.to_dict(), provenance=ASSUMED)
-    by_colors = flat_profile(grid, thickness_mm=4.0).with_block(normals, dict(model.weights))
-    rest = quantise(light)
-    flat = flat_profile(unit.profile.grid(), thickness_mm=4.0)
-    thick = replace(unit.profile, gel=flat.gel, mesh=flat.mesh)
+    unit, (by_colors, rest, images) = grey_unit(), colored_unit()
     for profile, still, frames in (
         (by_colors, rest, [*images, rest]),
-        (thick, quantise(unit.rest), [quantise(unit.pressed), quantise(unit.rest)]),
+        (unit.profile, quantise(unit.rest), [quantise(unit.pressed), quantise(unit.rest)]),
     ):
 
         def reader() -> LiveReader:
@@ -144,8 +148,8 @@ def test_a_frame_reads_alike_whatever_was_read_before_and_by_whichever_reader() 
         for k, one in zip(order, listed, strict=True):
             live = long_run.read(frames[k])
             assert live.figures == alone[k].figures and live.refused == alone[k].refused
-            for found in (live.surface, one):
-                seen = alone[k].surface
+            for found in (live.reading, one):
+                seen = alone[k].reading
                 assert found is not None and seen is not None
                 assert np.array_equal(found.depth_m, seen.depth_m)
                 mine, its = found.height_sigma_m, seen.height_sigma_m
@@ -191,10 +195,10 @@ def test_several_sensors_go_on_in_turn_until_each_is_over(tmp_path: Path) -> Non
     assert seen == ["left", "right", "left", "right", "right", "right"]
     assert left.latency.figures()["frames"] == 2 and right.latency.figures()["frames"] == 4
     assert left.last is not None and right.last is not None
-    assert left.last.figures["touched_mm2"] < 1 < right.last.figures["touched_mm2"]
+    assert left.last.figures["dent_mm2"] < 1 < right.last.figures["dent_mm2"]
 
 
-def test_what_lies_beyond_the_calibration_is_marked_or_refused(monkeypatch) -> None:
+def test_what_lies_beyond_the_calibration_is_marked_or_refused() -> None:
     reader, hidden = reader_of(), np.zeros((GRID.height_px, GRID.width_px, 1))
     hidden[40:80, 60:90] = 1.0
     # Its border is as soft as a lens has it.
@@ -204,11 +208,12 @@ def test_what_lies_beyond_the_calibration_is_marked_or_refused(monkeypatch) -> N
     title, picture = next(p for p in live.pictures(reading, reader.background) if "depth" in p[0])
     assert (picture[50, 75] == live.BEYOND).all() and "beyond" in title
     assert reading.figures["warnings"]
-    measured = Reading.figures
-    for share, refused in ((0.6, True), (0.3, False)):
-        beyond = {"beyond_balls_share": share}
-        monkeypatch.setattr(Reading, "figures", lambda *a, b=beyond: measured(*a) | b)
-        assert ("no depth" in reader.read(grey_unit().rest).refused) is refused
+    for cone_deg, refused in ((1.0, True), (60.0, False)):
+        profile, rest, images = colored_unit(cone_deg=cone_deg)
+        found = LiveReader(profile, rest).read(images[0])
+        assert ("no depth is given" in found.refused) is refused is (found.reading is None)
+        with pytest.raises(InputError, match="no depth") if refused else nullcontext():
+            read(profile, images[0], background=rest)
 
 
 @pytest.mark.thorough
@@ -289,12 +294,12 @@ def violet_share(page: Any) -> float:
 def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
     trimesh = pytest.importorskip("trimesh")
     reading = reader_of().read(grey_unit().pressed)
-    surface = reading.surface
+    surface = reading.reading
     assert surface is not None
     points_mm, glb = surface_mesh(surface, 5.0, DEEPEST_MM)
     lowest = points_mm[:, 2].argmin()
     assert points_mm[lowest, 2] == pytest.approx(-5 * DEEPEST_MM, abs=0.5)
-    deepest_mm = surface.figures()["deepest_gel_mm"]
+    deepest_mm = surface.figures()["deepest_mm"]
     np.testing.assert_allclose(points_mm[lowest, :2], deepest_mm, atol=0.5)
     mesh: Any = trimesh.load(io.BytesIO(glb), file_type="glb", force="mesh", process=False)
     np.testing.assert_allclose(mesh.vertices, points_mm, rtol=1e-6, atol=1e-6)
@@ -331,7 +336,10 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
                 page.get_by_text(words, **how).first.wait_for(timeout=SLOW_MS)
 
             def heading() -> float:
-                found = re.match(r"(\d\.\d+) ± \d\.\d+ mm deep", page.locator("h2").inner_text())
+                said = page.locator("h2").inner_text()
+                if said.startswith("no contact deeper than"):
+                    return 0.0
+                found = re.match(r"(\d\.\d+) ± \d\.\d+ mm deep", said)
                 return float(found[1]) if found else float("nan")
 
             def told_force() -> float:
@@ -346,7 +354,7 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
 
             says("Stop")
             measure_rest(session.start)
-            says("mm deep")
+            says("no contact deeper than")
             wait_for(page, lambda: page.get_by_text("Touch nothing").count() == 0)
             wait_for(page, lambda: heading() < 0.1, 60)
             untouched = yellow_share(page)
@@ -359,7 +367,7 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
             wait_for(page, lambda: rate.search(page.inner_text("body")))
             says("by the contact of an elastic layer")
             assert page.locator(".uplot canvas").count() == 3
-            for stage in ("all work", "depth", "pressure", "force", "taken to shown"):
+            for stage in ("all work", "heights", "pressure", "force", "taken to shown"):
                 told = re.compile(rf"^{stage}\s*\d")  # Not the legends of the curves.
                 row = page.get_by_role("row").filter(has_text=told)
                 assert float(row.get_by_role("cell").nth(1).inner_text()) > 0

@@ -70,10 +70,10 @@ def test_ways_of_dots_are_told_in_millimetres_of_oblong_pixels() -> None:
     moved = rest + [[3.0, 4.0], [0.0, 0.0], [90.0, 0.0]]
     seen = np.array([True, True, False])
     reading: Any = SimpleNamespace(
-        figures={}, refused="", press=None,
+        reading=None, refused="", press=None,
         markers=SimpleNamespace(uv_px=moved, rest_px=rest, seen=seen),
     )  # fmt: skip
-    reader: Any = SimpleNamespace(profile=grey_profile(), no_pressure="")
+    reader: Any = SimpleNamespace(profile=grey_profile())
     row = figures_of(reading, reader)
     assert row["marker_largest_mm"] == pytest.approx(np.hypot(0.6, 0.4))
     assert row["marker_mean_mm"] == pytest.approx(np.hypot(0.6, 0.4) / 2)

@@ -134,10 +134,10 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     image, depth, contact, wrench = ros.newest("image", "depth", "contact", "wrench")
     np.testing.assert_array_equal(image.pixels(), reading.image)
     np.testing.assert_array_equal(
-        depth.pixels()[..., 0], reading.surface.depth_m.astype(np.float32)
+        depth.pixels()[..., 0], reading.reading.depth_m.astype(np.float32)
     )
     assert 1e-4 < depth.pixels().max() < 1e-2  # Metres.
-    assert contact.data == pytest.approx(1e-6 * reading.press.contact_mm2)
+    assert contact.data == pytest.approx(1e-6 * reading.press.area_mm2)
     force, torque = wrench.wrench.force, wrench.wrench.torque
     assert (force.x, force.y, force.z) == pytest.approx((0.25, -0.5, -reading.press.force_n))
     x, y = (1e-3 * at for at in reading.press.center_mm)
@@ -149,9 +149,8 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
         assert message.header.stamp == pytest.approx(came, abs=1e-6)
     publisher.tell("Touch nothing")
     assert ros.logged[-1] == "Touch nothing"
-    assert result.reader is not None and reading.surface is not None
-    unpressed = replace(reading.surface, press=None)
-    refused = replace(reading, refused="too steep", surface=unpressed, forces={})
+    assert result.reader is not None and reading.reading is not None
+    refused = replace(reading, refused="too steep", reading=None, forces={})
     publisher.show(refused, result.reader, result.latency)
     depth, wrench = ros.newest("depth", "wrench")
     force = wrench.wrench.force
@@ -164,7 +163,7 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     for number, each in enumerate((reading, reading, refused)):
         assert save_snapshot(each, kept).name == f"snapshot_{number:03d}_image.png"
     with np.load(kept / "snapshot_001.npz") as arrays:
-        np.testing.assert_allclose(arrays["depth_m"], reading.surface.depth_m, rtol=1e-6)
+        np.testing.assert_allclose(arrays["depth_m"], reading.reading.depth_m, rtol=1e-6)
         assert arrays["pressure_pa"].max() > 0
     assert [path.name for path in kept.glob("*002*")] == ["snapshot_002_image.png"]
     # What is there of another stays, and of one that cannot be written nothing.

@@ -168,10 +168,10 @@ def test_light_that_was_never_calibrated_is_taken_off(
         reader = Reader(profile, background=np.clip(rest * gain, 0, 255))
     two = reader.read(quantise(held * gain)).figures()
     within = 0.05 if own_background else 0.08
-    assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=within)
+    assert two["depth_mm"] == pytest.approx(one["depth_mm"], rel=within)
     if not own_background:
-        assert two["touched_mm2"] == pytest.approx(one["touched_mm2"], rel=0.05)
-        assert reader.read(quantise(rest * gain)).figures()["touched_mm2"] == 0.0
+        assert two["dent_mm2"] == pytest.approx(one["dent_mm2"], rel=0.05)
+        assert reader.read(quantise(rest * gain)).figures()["dent_mm2"] == 0.0
 
 
 @pytest.mark.slow
@@ -312,7 +312,7 @@ def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path
         assert found.height_sigma_m is not None
         assert (off <= 2e3 * found.height_sigma_m)[dent].mean() > 0.8
         # Slopes of 45 degrees and more, where no ball was steeper than 53.
-        assert found.figures()["max_depth_mm"] > 0.3
+        assert found.figures()["depth_mm"] > 0.3
 
 
 def test_every_stage_ends(synthetic: NormalCalibration, stages: dict[str, tuple[int, int]]) -> None:
@@ -339,7 +339,7 @@ def test_an_untouched_image_is_not_touched(synthetic: NormalCalibration, tmp_pat
     rng = np.random.default_rng(0)
     image = flat_background() + 6.0 * np.linspace(-1, 1, GRID.width_px)[None, :, None]
     found = reader.read(np.clip(image + rng.normal(0, 1, image.shape), 0, 255))
-    assert found.figures()["touched_mm2"] == 0.0
+    assert found.figures()["dent_mm2"] == 0.0
 
 
 @pytest.mark.thorough

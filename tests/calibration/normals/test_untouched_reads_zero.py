@@ -68,11 +68,11 @@ def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
     for what, change in CHANGES.items():
         figures = reader.read(quantise(change(image.astype(float)))).figures()
         assert not figures["touched"] and figures["force_n"] == 0.0, what
-        assert figures["max_depth_mm"] == 0.0 and figures["contact_mm2"] == 0.0, what
+        assert figures["depth_mm"] == 0.0 and figures["area_mm2"] == 0.0, what
         for interval, most in (
-            ("force_interval95_n", MOST_N),
-            ("max_depth_interval95_mm", 0.3),
-            ("contact_interval95_mm2", 30.0),
+            ("force_interval_n", MOST_N),
+            ("depth_interval_mm", 0.3),
+            ("area_interval_mm2", 30.0),
         ):
             low, high = figures[interval]
             assert low == 0.0 and 0.0 < high <= most, (what, interval)

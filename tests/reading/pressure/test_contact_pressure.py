@@ -92,7 +92,7 @@ def test_forces_of_known_faces_are_those_of_the_closed_form(
     pixel_m2 = 1e-6 * GRID.mm_per_px_x * GRID.mm_per_px_y
     assert found.pressure_pa.sum() * pixel_m2 == pytest.approx(found.force_n, rel=0.02)
     if kind == "cylinder":
-        assert found.contact_mm2 == pytest.approx(np.pi * radius_mm**2, rel=0.15)
+        assert found.area_mm2 == pytest.approx(np.pi * radius_mm**2, rel=0.15)
 
 
 def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(profile) -> None:
