@@ -15,14 +15,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.dots.marker_picture import DotMask, find_markers
+from taccel_lab.reading.dots.marker_picture import find_markers
+from taccel_lab.reading.frame_judge import FrameJudge
 from taccel_lab.reading.light import fit_light
 from taccel_lab.reading.pressure import ContactPressure
 from taccel_lab.reading.reader import Reader
 from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.stage_clock import StageClock
 from taccel_lab.reading.thumb import thumb
-from taccel_lab.reading.whole_frame import broken_frame
 from taccel_lab.reading.whose import unlike
 
 FRAME = "the frame"
@@ -132,7 +132,7 @@ class LiveReader:
             self.reader = Reader(profile, background=background, device=device)
         self.no_pressure = "" if self.reader is None else self.reader.no_press
         self._clock = StageClock() if self.reader is None else self.reader.clock
-        self._dots = DotMask.of(background.astype(np.float32))
+        self._judge = FrameJudge(background) if self.reader is None else self.reader.judge
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
         """Why markers are not followed though the profile has some; empty otherwise."""
@@ -167,7 +167,8 @@ class LiveReader:
                 refused = str(error)
         if refused or self.reader is None:
             clock.begin("frame")
-            broken = broken_frame(image, self.background, self._seen(image))
+            frame = self._judge.frame(image)
+            broken = frame.lost or frame.torn
             if broken is not None:
                 clock.begin()
                 refused = refused or f"{FRAME} {broken}"
@@ -185,10 +186,6 @@ class LiveReader:
             forces = self.force(image, self.background)
         clock.begin()
         return LiveReading(image, found, refused, markers, forces, clock.stages_s)
-
-    def _seen(self, image: np.ndarray) -> np.ndarray | None:
-        """Pixels that no dot covers, bool, [height_px, width_px]; None for all."""
-        return None if self._dots is None else self._dots.uncovered(image.astype(np.float32), None)
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:

@@ -15,11 +15,12 @@ show every slope like that: of those, patches say nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
-from taccel_lab.reading.thumb import thumb
+from taccel_lab.reading.thumb import SmallImage
 
 LEAST_LEVEL = 8.0
 """Levels below which a ratio is noise."""
@@ -31,6 +32,8 @@ image's rows."""
 BANDS_EXPLAINED = 0.7
 """Part of the rows' variation that one sine explains. Of 370 presses of twelve sensors some reach
 it, but none with ``ALIKE`` columns."""
+BETWEEN_TRIED = 0.2
+"""Part of it, at most, that a sine between two that are tried explains more than either."""
 ALIKE = 0.6, 1.4
 """Amplitude in the columns, but one group on either side, as a part of the common one."""
 LEAST_AMPLITUDE = 0.004
@@ -65,92 +68,140 @@ def common_gain(
         untouched: The untouched sensor, likewise.
         mask: Pixels that count, bool, shape [height_px, width_px].
     """
-    if mask is not None:
-        levels = np.where(mask[..., None], levels, untouched)
-    seen, known = thumb(levels), thumb(untouched)
-    return _bands(seen, known, levels.shape[:2]) or _patch(seen, known, levels.shape[:2])
+    known, seen = (SmallImage.of(each, mask) for each in (untouched, levels))
+    return CommonGains(known).of(seen.levels)
 
 
-def _bands(seen: np.ndarray, known: np.ndarray, shape: tuple[int, int]) -> CommonGain | None:
-    """A sine along the rows that most columns agree on, by least squares over its frequency."""
-    ratio = np.log(np.maximum(seen, LEAST_LEVEL) / np.maximum(known, LEAST_LEVEL))
-    rows = np.linspace(-1.0, 1.0, len(ratio))
-    smooth = np.vander(rows, 3)
+class CommonGains:
+    """Looks for a common factor in frames of one sensor; what it needs of the untouched image is
+    made once."""
 
-    def rest(values: np.ndarray) -> np.ndarray:
-        """Values less what is quadratic along the rows: the gel sinks beside a press."""
-        return values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
+    def __init__(self, known: SmallImage) -> None:
+        """``known``: the untouched image."""
+        self._known, self._shape_px = known.levels, known.shape_px
+        self._counted = None if known.share is None else (known.share > 0)[..., None]
+        self._sigma = max(min(self._known.shape[:2]) / 60, 1.0)
+        self._base = cv2.GaussianBlur(self._known, (0, 0), self._sigma)
+        own = self._base - self._base.mean(axis=(0, 1))
+        self._one_colour = _one_factor(own, self._base)[1] > OWN_FACTOR
 
-    groups = np.array_split(ratio, GROUPS, axis=1)
-    columns = np.stack([np.median(one.reshape(len(ratio), -1), axis=1) for one in groups], axis=1)
-    common = rest(np.median(columns, axis=1))
-    whole = float(np.square(common).sum())
-    if whole < len(ratio) * LEAST_AMPLITUDE**2 / 2:
-        return None
+    def of(self, levels: np.ndarray) -> CommonGain | None:
+        """The common factor of a frame made small, levels in the untouched image's light, shape
+        [h, w, 3]; None where there is none."""
+        levels = levels.astype(np.float32)
+        if self._counted is not None:
+            levels = np.where(self._counted, levels, self._known)
+        return self._bands(levels) or self._patch(levels)
 
-    def fitted(cycles: float) -> tuple[float, float, np.ndarray, np.ndarray]:
-        """What is left of the sum of squares, the cycles, the wave's parts and their sizes."""
-        phase = np.pi * cycles * rows
-        wave = rest(np.stack([np.sin(phase), np.cos(phase)], axis=1))
-        size = np.linalg.lstsq(wave, common, rcond=None)[0]
-        return float(np.square(common - wave @ size).sum()), cycles, wave, size
+    def _bands(self, levels: np.ndarray) -> CommonGain | None:
+        """A sine along the rows that most columns agree on, by least squares over its frequency."""
+        count, width = levels.shape[:2]
+        ratio = np.log(np.maximum(levels, LEAST_LEVEL) / np.maximum(self._known, LEAST_LEVEL))
+        ratio = ratio[:, : width - width % GROUPS].reshape(count, GROUPS, -1)
+        columns = _median(ratio).astype(np.float64)
+        common = _rest(_median(columns))
+        whole = float(np.square(common).sum())
+        if whole < count * LEAST_AMPLITUDE**2 / 2:
+            return None
+        tried, waves = _tried_waves(count)
+        explained = _explained(waves, common)
+        if explained.max() < (BANDS_EXPLAINED - BETWEEN_TRIED) * whole:
+            return None
+        near = tried[np.argmax(explained)] + np.linspace(-0.25, 0.25, 11)
+        explained = _explained(_waves(count, near), common)
+        best = int(np.argmax(explained))
+        cycles = near[best : best + 1]
+        wave = _sines(count, cycles)[0]
+        fit = np.linalg.lstsq(_rest(wave.T).T, common, rcond=None)[0]
+        each = np.linalg.lstsq(_rest(wave.T).T, _rest(columns.T).T, rcond=None)[0]
+        amplitude = float(np.hypot(*fit))
+        alike = np.sort(fit @ each / max(amplitude**2, 1e-12))
+        if (
+            explained[best] < BANDS_EXPLAINED * whole
+            or amplitude < LEAST_AMPLITUDE
+            or alike[1] < ALIKE[0]
+            or alike[-2] > ALIKE[1]
+        ):
+            return None
+        fine = np.pi * cycles * np.linspace(-1.0, 1.0, self._shape_px[0])
+        factor = np.exp(fit[0] * np.sin(fine) + fit[1] * np.cos(fine)).astype(np.float32)
+        return CommonGain(
+            np.repeat(factor[:, None], self._shape_px[1], axis=1),
+            f"light from the mains goes up and down along the rows by {amplitude:.1%} and was "
+            "taken off: shut room light out, or set the exposure to a multiple of 10 ms (mains of "
+            "50 Hz) or 8.3 ms (60 Hz)",
+        )
 
-    def best_of(tried: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
-        return min((fitted(cycles) for cycles in tried), key=lambda one: one[0])
-
-    coarse = best_of(CYCLES[len(ratio) > 4 * CYCLES])[1]
-    left, cycles, wave, fit = best_of(coarse + np.linspace(-0.25, 0.25, 11))
-    amplitude = float(np.hypot(*fit))
-    each = np.linalg.lstsq(wave, rest(columns), rcond=None)[0]
-    alike = np.sort(fit @ each / max(amplitude**2, 1e-12))
-    if (
-        left > (1.0 - BANDS_EXPLAINED) * whole
-        or amplitude < LEAST_AMPLITUDE
-        or alike[1] < ALIKE[0]
-        or alike[-2] > ALIKE[1]
-    ):
-        return None
-    fine = np.pi * cycles * np.linspace(-1.0, 1.0, shape[0])
-    factor = np.exp(fit[0] * np.sin(fine) + fit[1] * np.cos(fine)).astype(np.float32)
-    return CommonGain(
-        np.repeat(factor[:, None], shape[1], axis=1),
-        f"light from the mains goes up and down along the rows by {amplitude:.1%} and was taken "
-        "off: shut room light out, or set the exposure to a multiple of 10 ms (mains of 50 Hz) or "
-        "8.3 ms (60 Hz)",
-    )
-
-
-def _patch(seen: np.ndarray, known: np.ndarray, shape: tuple[int, int]) -> CommonGain | None:
-    """A factor that explains all change of a patch, of one sign."""
-    sigma = max(min(seen.shape[:2]) / 60, 1.0)
-    change, base = (cv2.GaussianBlur(each, (0, 0), sigma) for each in (seen - known, known))
-    size = np.linalg.norm(change, axis=-1)
-    patch = size > max(PATCH_LEVELS, PATCH_SHARE * float(size.max()))
-    if not patch.any() or _one_factor(base - base.mean(axis=(0, 1)), base)[1] > OWN_FACTOR:
-        return None
-    share, explained = _one_factor(change, base, patch)
-    if explained < ONE_FACTOR or abs(share[patch].sum()) < ONE_FACTOR * np.abs(share[patch]).sum():
-        return None
-    row, column = np.unravel_index(int(np.argmax(np.where(patch, size, 0.0))), size.shape)
-    scale = shape[0] / len(seen)
-    most = float(share[row, column])
-    factor = cv2.resize(1.0 + share, shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return CommonGain(
-        factor.astype(np.float32),
-        f"the background is old: around ({column * scale:.0f}, {row * scale:.0f}) px the gel is "
-        f"{abs(most):.0%} {'brighter' if most > 0 else 'darker'} in all channels alike, as a worn "
-        "coating or dirt is, which was taken off; give an image of the untouched gel as it is now "
-        "(--background)",
-    )
+    def _patch(self, levels: np.ndarray) -> CommonGain | None:
+        """A factor that explains all change of a patch, of one sign."""
+        if self._one_colour:
+            return None
+        change = cv2.GaussianBlur(levels - self._known, (0, 0), self._sigma)
+        size = np.sqrt(np.einsum("hwc,hwc->hw", change, change))
+        patch = size > max(PATCH_LEVELS, PATCH_SHARE * float(size.max()))
+        if not patch.any():
+            return None
+        share, explained = _one_factor(change[patch], self._base[patch])
+        if explained < ONE_FACTOR or abs(share.sum()) < ONE_FACTOR * np.abs(share).sum():
+            return None
+        share = _one_factor(change, self._base)[0]
+        row, column = np.unravel_index(int(np.argmax(size)), size.shape)
+        scale = self._shape_px[0] / len(levels)
+        most = float(share[row, column])
+        factor = cv2.resize(1.0 + share, self._shape_px[::-1], interpolation=cv2.INTER_LINEAR)
+        return CommonGain(
+            factor.astype(np.float32),
+            f"the background is old: around ({column * scale:.0f}, {row * scale:.0f}) px the gel "
+            f"is {abs(most):.0%} {'brighter' if most > 0 else 'darker'} in all channels alike, as "
+            "a worn coating or dirt is, which was taken off; give an image of the untouched gel as "
+            "it is now (--background)",
+        )
 
 
-def _one_factor(
-    change: np.ndarray, base: np.ndarray, where: np.ndarray | None = None
-) -> tuple[np.ndarray, float]:
-    """The factor less 1 by which all channels of ``base`` change best, shape [h, w], and the part
-    of the change's sum of squares that it explains ``where`` asked."""
+def _median(values: np.ndarray) -> np.ndarray:
+    """Medians along the last axis; whole rows are sorted faster than parted."""
+    ordered, count = np.sort(values, axis=-1), values.shape[-1]
+    return 0.5 * (ordered[..., (count - 1) // 2] + ordered[..., count // 2])
+
+
+def _rest(values: np.ndarray) -> np.ndarray:
+    """Values [..., row] less what is quadratic along the rows: the gel sinks beside a press."""
+    smooth = _smooth_rows(values.shape[-1])
+    return values - (values @ smooth) @ smooth.T
+
+
+@cache
+def _smooth_rows(count: int) -> np.ndarray:
+    """Orthonormal parabolas over so many rows, shape [row, 3]."""
+    return np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
+
+
+def _sines(count: int, cycles: np.ndarray) -> np.ndarray:
+    """Sines and cosines of so many cycles over the rows, shape [cycle, row, 2]."""
+    phase = np.pi * cycles[:, None] * np.linspace(-1.0, 1.0, count)
+    return np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+
+
+def _waves(count: int, cycles: np.ndarray) -> np.ndarray:
+    """Orthonormal waves of so many cycles, without parabolas, shape [cycle, row, 2]."""
+    return np.linalg.qr(_rest(_sines(count, cycles).swapaxes(1, 2)).swapaxes(1, 2))[0]
+
+
+@cache
+def _tried_waves(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cycles that are tried over so many rows, and their waves."""
+    cycles = CYCLES[count > 4 * CYCLES]
+    return cycles, _waves(count, cycles)
+
+
+def _explained(waves: np.ndarray, common: np.ndarray) -> np.ndarray:
+    """Part of the sum of squares of values [row] that each of the waves explains, [cycle]."""
+    return np.square(np.tensordot(waves, common, (1, 0))).sum(axis=-1)
+
+
+def _one_factor(change: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, float]:
+    """The factor less 1 by which all channels of ``base`` [..., 3] change best, [...], and the part
+    of the change's sum of squares that it explains."""
     share = (change * base).sum(axis=-1) / np.maximum(np.square(base).sum(axis=-1), LEAST_LEVEL**2)
-    left = np.square(change - share[..., None] * base).sum(axis=-1)
-    counted = np.ones(left.shape, dtype=bool) if where is None else where
-    whole = float(np.square(change).sum(axis=-1)[counted].sum())
-    return share, 1.0 - float(left[counted].sum()) / max(whole, 1e-12)
+    left = change - share[..., None] * base
+    return share, 1.0 - float(np.square(left).sum()) / max(float(np.square(change).sum()), 1e-12)

@@ -19,11 +19,10 @@ import cv2
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.thumb import SmallImage
 from taccel_lab.robust_fit import spread_of_lengths
 
-SAMPLE_COUNT = 8000
-"""Pixels that an image's light is fitted to, on a regular lattice."""
-MIN_PIXELS = 200
+MIN_BLOCKS = 50
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
 MIN_SCALE_LEVELS = 1.0
@@ -31,10 +30,9 @@ PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
 """Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
 PRIOR_SAMPLES = 200.0
 """Independent samples that a frame counts as against the prior: neighbours err alike."""
-SMOOTHING_SHARE = 1 / 160
-"""Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
-gain to 0 wherever the gradient can explain the background as well."""
 ITERATIONS = 12
+STEADY_LEVELS = 3e-3
+"""Change by an iteration [levels] that asks for no other."""
 GAIN_DOUBT = 0.03
 """Gain that sunk gel feigns: over 48 presses in one light (Taxim) a standard deviation of 0.02 to
 0.03."""
@@ -75,9 +73,31 @@ class LightDrift:
         rows, gain, offset = self._by_rows(image)
         return ((rows - offset - self._plane(image)) / gain).reshape(image.shape)
 
+    def on(self, other: LightDrift) -> LightDrift:
+        """Light of an image whose untouched one lies in ``other`` itself, against the same."""
+        gradient = self.gradient + self.gain[:, None] * other.gradient
+        return LightDrift(self.gain * other.gain, self.offset + self.gain * other.offset, gradient)
+
+    def removed(self, levels: np.ndarray) -> np.ndarray:
+        """``remove`` from a whole image in single precision, float32."""
+        height, width, channels = levels.shape
+        u, v = unit_position(height, width)
+        scale = (1.0 / self.gain).astype(np.float32)
+        across = (self.offset + np.outer(u, self.gradient[:, 0])) * -scale
+        found = levels.reshape(height, -1) * np.tile(scale, width)
+        found += across.ravel().astype(np.float32)
+        if self.gradient.any():
+            down = np.tile(self.gradient[:, 1] * -scale, width).astype(np.float32)
+            found += v.astype(np.float32) * down
+        return found.reshape(height, width, channels)
+
     def shift(self, level: np.ndarray) -> np.ndarray:
         """Change of a channel of this ``level`` in the middle of the image [levels], shape [3]."""
         return (self.gain - 1) * level + self.offset
+
+    def within(self, small: SmallImage) -> LightDrift:
+        """The same for an image made small, whose outer blocks lie farther in than its pixels."""
+        return replace(self, gradient=self.gradient * small.reach)
 
     def at(self, pixel_idx: np.ndarray, height_px: int, width_px: int) -> LightDrift:
         """The same for some pixels of an image, counted along rows, shape [n]: the gradient there
@@ -143,7 +163,7 @@ def smoothed(image: np.ndarray, mask: np.ndarray | None, sigma_px: float) -> np.
 
 def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
     """Tukey's weight of residuals: 1 at zero, 0 from ``reach`` on; of their shape."""
-    return np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2
+    return np.square(np.maximum(1.0 - np.square(distance / reach), 0.0))
 
 
 def fit_light(
@@ -158,91 +178,115 @@ def fit_light(
     Images are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false are left
     out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
     """
-    height, width = background.shape[:2]
-    rows, columns = lattice_pixels(np.ones((height, width), bool) if mask is None else mask)
-    if len(rows) < _needed(height, width):
-        raise InputError(
-            f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
-        )
-    u, v = unit_position(height, width)
-    place = np.stack([np.ones(len(rows)), u[0, columns], v[rows, 0]])
-    others = place if gradient else place[:1]
-    sigma = max(min(height, width) * SMOOTHING_SHARE, 1.0)
-    before, after = (
-        smoothed(image, mask, sigma)[rows, columns].T.astype(np.float64, order="C")
-        for image in (background, frame)
-    )
-    fitted, covariance = np.zeros((3, 1 + len(others))), np.zeros((3, 4, 4))
-    left = after - before
-    left -= np.median(left, axis=1, keepdims=True)
-    weight = np.ones(len(rows))
-    scale = MIN_SCALE_LEVELS
-    for k in range(ITERATIONS):
-        distance = np.sqrt(np.square(left).sum(axis=0))
-        inside = distance[weight > 0] if k else distance
-        scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
-        reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
-        weight = biweight(distance, reach)
-        fitted, level, known = _with_prior(before, others, after, weight, scale)
-        left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
-    # A gradient that is not fitted is as unknown as its prior says.
-    covariance[:, 2:, 2:] = np.diag(PRIOR_SIGMA[2:] ** 2)
-    covariance[:, : len(known[0]), : len(known[0])] = known
-    return LightDrift(
-        gain=fitted[:, 0].copy(),
-        offset=fitted[:, 1].copy(),
-        gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
-        noise_levels=scale,
-        covariance=covariance,
-        level=level,
-    )
+    known, seen = (SmallImage.of(image, mask) for image in (background, frame))
+    return LightFit(known).still(seen, gradient=gradient)
 
 
 def fit_press_light(
     frame: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
 ) -> LightDrift:
-    """``fit_light`` of a frame in which something is pressed into the gel.
+    """``LightFit.press`` of two images; arguments as of ``fit_light``."""
+    known, seen = (SmallImage.of(image, mask) for image in (background, frame))
+    return LightFit(known).press(seen)
 
-    The gel sinks all around a contact, and its colours change with it: smoothly, as a gradient or a
-    gain of the light would. So no gradient is fitted, and a gain is believed by the part that
-    stands out of what sunk gel feigns (W. James and C. Stein, Proc. 4th Berkeley Symp., 1961,
-    361-379): it is extended to contacts, whose levels lie far beyond those of the gel beside them.
-    What either may be all the same is in the covariance. ``background`` is best in the mean light
-    of such frames.
+
+class LightFit:
+    """Light of frames against one untouched image, whose side of the fit is made once.
+
+    Fitted are means over blocks: noise of the background would draw the gain to 0 wherever the
+    gradient can explain the background as well.
     """
-    light = fit_light(frame, background, mask, gradient=False)
-    off = light.gain - 1.0
-    kept = off * np.maximum(1.0 - (GAIN_DOUBT / np.maximum(np.abs(off), 1e-9)) ** 2, 0.0)
-    covariance = light.covariance.copy()
-    covariance[:, 0, 0] = GAIN_DOUBT**2
-    covariance[:, 0, 1] = covariance[:, 1, 0] = 0.0
-    covariance[:, 2:, 2:] = GRADIENT_DOUBT_LEVELS**2 * np.eye(2)
-    # The same change at the level that the gain turns about.
-    offset = light.offset + (off - kept) * light.level
-    return replace(light, gain=1.0 + kept, offset=offset, covariance=covariance)
+
+    def __init__(self, known: SmallImage) -> None:
+        """``known``: the untouched image. InputError where too few of its pixels count."""
+        known = known.blocks
+        self._usable = known.usable
+        count = int(self._usable.sum())
+        if count < _needed(self._usable.size):
+            raise InputError(
+                f"only {count} of {self._usable.size} blocks of pixels are usable to fit the "
+                "light's drift; the mask leaves too few"
+            )
+        across, down = unit_position(*self._usable.shape)
+        rows, columns = np.nonzero(self._usable)
+        place = np.stack([across[0, columns], down[rows, 0]]) * known.reach[:, None]
+        self._place = np.concatenate([np.ones((1, count)), place])
+        self._before = self._samples(known)
+        # Levels count from here: moments of what is far from zero lose their digits.
+        self._middle = self._before.mean(axis=1, keepdims=True)
+        self._before -= self._middle
+
+    def _samples(self, small: SmallImage) -> np.ndarray:
+        """Levels of the usable blocks, float64, shape [3, n]."""
+        return small.blocks.levels[self._usable].T.astype(np.float64, order="C")
+
+    def still(self, seen: SmallImage, *, gradient: bool = True) -> LightDrift:
+        """Light of a frame of the untouched image's pixels, all of it; ``gradient=False`` fits gain
+        and offset only."""
+        others = self._place if gradient else self._place[:1]
+        both = np.concatenate([self._before, self._samples(seen) - self._middle, others])
+        fitted, covariance = np.zeros((3, 1 + len(others))), np.zeros((3, 4, 4))
+        left = both[3:6] - both[:3]
+        left -= np.median(left, axis=1, keepdims=True)
+        inside: np.ndarray | slice = slice(None)
+        reaches = np.array([np.abs(self._before).max(), *(1.0 for _ in others)])
+        for _ in range(ITERATIONS):
+            distance = np.sqrt(np.einsum("cn,cn->n", left, left))
+            scale = max(spread_of_lengths(distance[inside], 3), MIN_SCALE_LEVELS / 3)
+            reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
+            weight = biweight(distance, reach)
+            inside, before = weight > 0, fitted
+            fitted, level, known = _with_prior(both, weight, scale)
+            if (np.abs(fitted - before) @ reaches).max() < STEADY_LEVELS:
+                break
+            left = both[3:6] - fitted[:, :1] * both[:3] - fitted[:, 1:] @ others
+        # A gradient that is not fitted is as unknown as its prior says.
+        covariance[:, 2:, 2:] = np.diag(PRIOR_SIGMA[2:] ** 2)
+        covariance[:, : len(known[0]), : len(known[0])] = known
+        gain, middle = fitted[:, 0].copy(), self._middle[:, 0]
+        return LightDrift(
+            gain=gain,
+            offset=fitted[:, 1] + (1.0 - gain) * middle,
+            gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
+            noise_levels=scale,
+            covariance=covariance,
+            level=middle + level,
+        )
+
+    def press(self, seen: SmallImage) -> LightDrift:
+        """Light of a frame in which something is pressed into the gel.
+
+        The gel sinks all around a contact, and its colours change with it: smoothly, as a gradient
+        or a gain of the light would. So no gradient is fitted, and a gain is believed by the part
+        that stands out of what sunk gel feigns (W. James and C. Stein, Proc. 4th Berkeley Symp.,
+        1961, 361-379): it is extended to contacts, whose levels lie far beyond those of the gel
+        beside them. What either may be all the same is in the covariance. The untouched image is
+        best in the mean light of such frames.
+        """
+        light = self.still(seen, gradient=False)
+        off = light.gain - 1.0
+        kept = off * np.maximum(1.0 - (GAIN_DOUBT / np.maximum(np.abs(off), 1e-9)) ** 2, 0.0)
+        covariance = light.covariance.copy()
+        covariance[:, 0, 0] = GAIN_DOUBT**2
+        covariance[:, 0, 1] = covariance[:, 1, 0] = 0.0
+        covariance[:, 2:, 2:] = GRADIENT_DOUBT_LEVELS**2 * np.eye(2)
+        # The same change at the level that the gain turns about.
+        offset = light.offset + (off - kept) * light.level
+        return replace(light, gain=1.0 + kept, offset=offset, covariance=covariance)
 
 
 def enough_pixels(mask: np.ndarray) -> bool:
     """Whether ``fit_light`` takes a light by the pixels of ``mask``, [height_px, width_px]."""
-    return len(lattice_pixels(mask)[0]) >= _needed(*mask.shape)
+    blocks = SmallImage.of(np.zeros((*mask.shape, 3), np.float32), mask).blocks
+    return int(blocks.usable.sum()) >= _needed(blocks.usable.size)
 
 
-def _needed(height: int, width: int) -> int:
-    return min(MIN_PIXELS, height * width // 4)
-
-
-def lattice_pixels(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of some ``SAMPLE_COUNT`` pixels of a regular lattice, those in ``mask``,
-    bool, [height_px, width_px]."""
-    height, width = mask.shape
-    step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
-    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
-    usable = mask[rows, columns]
-    return rows[usable], columns[usable]
+def _needed(blocks: int) -> int:
+    return min(MIN_BLOCKS, blocks // 4)
 
 
 def _with_prior(
-    levels: np.ndarray, others: np.ndarray, wanted: np.ndarray, weight: np.ndarray, scale: float
+    both: np.ndarray, weight: np.ndarray, scale: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset and gradient of each channel by weighted least squares, drawn weakly to "no
     change", shape [3, p]; the channels' mean levels, shape [3]; the covariance of gain, offset at
@@ -253,42 +297,46 @@ def _with_prior(
     to be without it: all that offset and gradient explain of it, and of the rest the share that is
     no noise (regression calibration; W. A. Fuller, Measurement Error Models, 1987, section 1.2).
     The matrix is the Gram matrix of those levels plus the prior: never indefinite, and a background
-    that is all noise says nothing of the gain.
+    that is all noise says nothing of the gain. All of it follows from the second moments.
 
     Args:
-        levels: Of the background, shape [3, n].
-        others: Ones, and the place along each axis, shape [p - 1, n].
-        wanted: Levels of the frame, shape [3, n].
-        weight: Of each pixel, 0..1, shape [n].
+        both: Levels of the background, those of the frame, ones, and the place along each axis,
+            shape [6 + p - 1, n].
+        weight: Of each block, 0..1, shape [n].
         scale: Standard deviation of frame minus background [levels].
     """
-    sigma = PRIOR_SIGMA[: 1 + len(others)]
     total = float(weight.sum())
-    weighed = others * weight
-    gram = weighed @ others.T
-    # Least squares of the Gram matrix, which is singular where pixels lie in a line.
-    explained = np.linalg.lstsq(gram, weighed @ levels.T, rcond=None)[0].T @ others
-    own = levels - explained
-    power = np.square(own) @ weight
+    moments = (both * weight) @ both.T
+    gram, others_levels, others_wanted = moments[6:, 6:], moments[6:, :3], moments[6:, 3:6]
+    # The Gram matrix is singular where blocks lie in a line.
+    ridge = 1e-9 * max(total, 1e-9) * np.eye(len(gram))
+    explained = np.linalg.solve(gram + ridge, others_levels)
+    levels_levels, levels_wanted = moments.diagonal()[:3], moments.diagonal(3)[:3]
+    # Levels of their own, beside what is explained, go with none of the others.
+    power = np.maximum(levels_levels - (explained * others_levels).sum(axis=0), 0.0)
     noise = 0.5 * total * scale**2
     # Of own levels without any power there is no share, and none that is larger than 0.
     share = 1.0 - noise / np.maximum(power, noise) if noise > 0 else (power > 0).astype(float)
-    expected = explained + share[:, None] * own
-    change = wanted - expected
     # The offset is that at the mean level, so that its prior does not fight the gain's.
-    mean = levels @ weight / total if total > 0 else np.zeros(len(levels))
-    expected -= mean[:, None]
-    normal = np.empty((len(levels), len(sigma), len(sigma)))
-    normal[:, 0, 0] = np.square(expected) @ weight
-    normal[:, 0, 1:] = normal[:, 1:, 0] = expected @ weighed.T
+    mean = others_levels[0] / total if total > 0 else np.zeros(3)
+    expected = explained.copy()
+    expected[0] -= mean
+    together = gram @ expected
+    change = others_wanted - gram @ explained
+    own = levels_wanted - (explained * others_wanted).sum(axis=0)
+    sigma = PRIOR_SIGMA[: 1 + len(gram)]
+    normal = np.empty((3, len(sigma), len(sigma)))
+    normal[:, 0, 0] = (expected * together).sum(axis=0) + share**2 * power
+    normal[:, 0, 1:] = normal[:, 1:, 0] = together.T
     normal[:, 1:, 1:] = gram
     alike = max(total / PRIOR_SAMPLES, 1.0)
     normal += np.diag(alike * (scale / sigma) ** 2)
-    side = np.column_stack([(expected * change) @ weight, change @ weighed.T])
-    step = np.linalg.solve(normal, side[..., None])[..., 0]
+    first = (expected * change).sum(axis=0) + share * own - share**2 * power
+    inverse = np.linalg.inv(normal)
+    step = np.einsum("cij,jc->ci", inverse, np.concatenate([first[None], change]))
     step[:, 1] -= step[:, 0] * mean
     step[:, 0] += 1.0
-    return step, mean, alike * scale**2 * np.linalg.inv(normal)
+    return step, mean, alike * scale**2 * inverse
 
 
 def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:

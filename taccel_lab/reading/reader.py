@@ -17,18 +17,16 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.common_gain import common_gain
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm
-from taccel_lab.reading.dots.marker_picture import DotMask
+from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
-from taccel_lab.reading.light import LightDrift, fit_light, fit_press_light
+from taccel_lab.reading.light import LightDrift
 from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.stage_clock import StageClock
 from taccel_lab.reading.touch import touch_of
-from taccel_lab.reading.whole_frame import lost_rows, torn_frame
-from taccel_lab.reading.whose import light_of_background, pattern_shift, unlike
+from taccel_lab.reading.whose import light_of_background
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
@@ -42,18 +40,21 @@ GUESSED_SHARE = 0.5
 class LitImage:
     """An image as it is read."""
 
-    image: np.ndarray
-    """RGB levels as they came, likewise."""
+    frame: JudgedFrame
+    """The image as it came."""
     levels: np.ndarray
     """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid."""
     light: LightDrift
     """Its own light against the untouched sensor's."""
     still: LightDrift
     """The same if nothing touches: a contact takes part of a gradient of the light."""
-    mask: np.ndarray | None
-    """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
+
+    @property
+    def mask(self) -> np.ndarray | None:
+        """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
+        return self.frame.mask
 
 
 class Reader:
@@ -97,7 +98,8 @@ class Reader:
         if self.method == "normals":
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self._dots = DotMask.of(self.untouched)
+        self.judge = FrameJudge(self.untouched, mask)
+        """Tells frames that are not to be read, and their light."""
         self.no_press, self._pressure = "", None
         """Why no pressure is read, a sentence."""
         try:
@@ -151,11 +153,11 @@ class Reader:
                 "size (raw ones are rectified with --maps)"
             )
         self.clock.restart()
-        lit = self.lit(image)
         self.clock.begin("frame")
-        why = self.unlike(lit)
-        if why:
-            raise InputError(f"{name} {why}")
+        frame = self.judge.frame(image)
+        _refuse(name, frame.fault())
+        lit = self.lit(frame)
+        _refuse(name, frame.foreign(lit.light))
         found = self.pressed(self._credible(self.surface(lit, name)), time_s)
         self.clock.begin()
         return found
@@ -185,31 +187,7 @@ class Reader:
             )
         return found
 
-    def unlike(self, lit: LitImage) -> str:
-        """Why an image is not of the untouched sensor's gel, or nothing."""
-        image, levels = lit.image, lit.image.astype(np.float32)
-        # An image of another sensor has seams against the background, too.
-        lost = lost_rows(image, self.untouched, lit.mask)
-        if lost is not None:
-            return str(lost)
-        why = unlike(levels, self.untouched, lit.light, lit.mask)
-        if why is not None:
-            return f"is no image of the sensor that was calibrated: {why}"
-        torn = torn_frame(levels, self.untouched, lit.mask)
-        # Dots go with the gel that a press drags along; only what else there is stands still.
-        shift = pattern_shift(lit.light.remove(levels), self.untouched, lit.mask)
-        if torn is not None and (shift is None or torn.last - torn.first >= max(map(abs, shift))):
-            return str(torn)
-        if shift is None:
-            return ""
-        right, down = shift
-        return (
-            f"shows the untouched gel's pattern {right:+.0f} px to the right and {down:+.0f} px "
-            "down of where the background has it: gel or camera has moved. Give an image of the "
-            "untouched sensor as it is now (--background)"
-        )
-
-    def lit(self, image: np.ndarray) -> LitImage:
+    def lit(self, image: np.ndarray | JudgedFrame) -> LitImage:
         """An image in the profile's light: gain, offset and gradient of each channel against the
         untouched sensor are taken off.
 
@@ -217,30 +195,23 @@ class Reader:
         it, and its light is fitted as that of a press.
         """
         self.clock.begin("light")
-        levels = image.astype(np.float32)
-        mask = self._seen(levels)
-        still = fit_light(levels, self.untouched, mask)
-        remark = ""
-        if self.normal_model is not None:
-            common = common_gain(still.remove(levels), self.untouched, mask)
-            if common is not None:
-                levels = still.apply(still.remove(levels) / common.factor[..., None])
-                still, remark = fit_light(levels, self.untouched, mask), common.remark
+        frame = self.judge.frame(image) if isinstance(image, np.ndarray) else image
+        even, remark = frame, ""
+        common = None if self.normal_model is None else frame.common
+        if common is not None:
+            steady = frame.still.remove(frame.levels) / common.factor[..., None]
+            even, remark = frame.with_levels(frame.still.apply(steady)), common.remark
 
         def shown(light: LightDrift) -> LitImage:
-            own = self._day.remove(light.remove(levels))
-            return LitImage(image, own.astype(np.float32), light, still, mask, remark)
+            levels = light.on(self._day).removed(even.levels)
+            return LitImage(frame, levels, light, even.still, remark)
 
-        first = shown(still)
+        first = shown(even.still)
         self.clock.begin("touch")
         if not self._is_dented(first):
             return first
         self.clock.begin("light")
-        return shown(fit_press_light(levels, self.untouched, mask))
-
-    def _seen(self, levels: np.ndarray) -> np.ndarray | None:
-        """Pixels of an image that count and that no dot covers, bool, [h, w]; None for all."""
-        return self.mask if self._dots is None else self._dots.uncovered(levels, self.mask)
+        return shown(even.pressed)
 
     def in_own_light(self, levels: np.ndarray) -> np.ndarray:
         """An image in the profile's light as the untouched sensor's own light shows it."""
@@ -334,7 +305,7 @@ class Reader:
     ) -> Reading:
         return Reading(
             grid=self.grid,
-            image=lit.image,
+            image=lit.frame.image,
             name=name,
             no_press=self.no_press,
             height_m=self.rest.height_m + rise_m,
@@ -361,3 +332,8 @@ class Reader:
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
     return None if values_mm is None else 1e-3 * values_mm
+
+
+def _refuse(name: str, why: str) -> None:
+    if why:
+        raise InputError(f"{name} {why}")

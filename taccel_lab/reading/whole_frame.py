@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.thumb import resized
 
 ALIKE_LEVELS = 1.0
 """Two rows that differ by no more than this anywhere are copies; an encoder may round."""
@@ -45,8 +46,8 @@ WIDE_LEVELS, WIDE_TIMES = 1.5, 2.5
 ``WIDE_LEVELS``, rows moved sideways by 20 px 3.5 times and more."""
 ROUNDED_LEVELS = 0.8
 """Jumps that rounding to whole levels makes of a smooth image: half a level in each channel."""
-SMOOTH_SHARE = 1 / 20
-"""Part of the width over which jumps are averaged for that."""
+SMOOTH_ACROSS = 21
+"""Places along a row over which jumps are averaged for that."""
 NEAR = (1, 2, 3, 8, 16, 24, 32)
 """Rows beside a seam over the whole width that have less of it: the next ones, and those at which
 an encoder of video has the borders of its blocks, which are seams, too, but all of them."""
@@ -57,6 +58,9 @@ they are moved back."""
 Fault = Literal["lost_rows", "torn", "shift"]
 Axis = Literal["rows", "columns"]
 AXES: tuple[Axis, Axis] = ("rows", "columns")
+PLACES: dict[Axis, int] = {"rows": ACROSS, "columns": SMOOTH_ACROSS}
+"""Places along them at which seams are looked for. A tool's straight edge may lie along columns,
+and be sharp in a drawn image: seams over a part of the width are looked for along rows alone."""
 EVEN = "are of one colour"
 AGAIN = (
     "take the frame again; where it happens often, a shorter cable, another USB port or fewer "
@@ -104,7 +108,7 @@ def broken_frame(
         untouched: The sensor's untouched image, likewise; its light may differ.
         mask: Pixels that count, bool, shape [height_px, width_px].
     """
-    return lost_rows(image, untouched, mask) or torn_frame(image, untouched, mask)
+    return lost_rows(image, untouched, mask) or Seams(untouched).torn(image, mask)
 
 
 def lost_rows(
@@ -116,24 +120,40 @@ def lost_rows(
     return _lost(seen) or _lost(seen.turned())
 
 
-def torn_frame(
-    image: np.ndarray, untouched: np.ndarray, mask: np.ndarray | None = None
-) -> BrokenFrame | None:
-    """The rows, or columns, beyond a seam, or the whole of a frame that is moved along its rows and
-    wrapped round; arguments as of ``broken_frame``."""
-    change = image.astype(np.float32) - untouched
-    if mask is not None:
-        change = np.where(mask[..., None], change, np.float32(0))
-    seen = _Seen(image, untouched, mask, "rows")
-    # Rows that are moved have a seam across them, too, where they are wrapped round.
-    (rows_at, rows_share), (at, share) = (_seam(change, mask, axis) for axis in AXES)
-    if rows_share >= share:
-        return _beyond(seen, rows_at) if rows_share else None
-    height, width = image.shape[:2]
-    if at == _sideways(seen) % width:
-        why = f"lie {min(at, width - at)} px along them from where they should, wrapped round"
-        return BrokenFrame("shift", "rows", 0, height - 1, why)
-    return _beyond(seen.turned(), at)
+class Seams:
+    """Looks for seams in frames of one sensor; the untouched image's side is made once."""
+
+    def __init__(self, untouched: np.ndarray) -> None:
+        """``untouched``: levels, shape [height_px, width_px, channel]."""
+        self._untouched = untouched.astype(np.float32)
+        self._known = {axis: _narrow(self._untouched, axis, PLACES[axis]) for axis in AXES}
+
+    def torn(self, image: np.ndarray, mask: np.ndarray | None = None) -> BrokenFrame | None:
+        """The rows, or columns, beyond a seam, or the whole of a frame that is moved along its rows
+        and wrapped round; arguments as of ``broken_frame``."""
+        levels = np.asarray(image, np.float32)
+        # Rows that are moved have a seam across them, too, where they are wrapped round.
+        (rows_at, rows_share), (at, share) = (self._seam(levels, mask, axis) for axis in AXES)
+        seen = _Seen(image, self._untouched, mask, "rows")
+        if rows_share >= share:
+            return _beyond(seen, rows_at) if rows_share else None
+        height, width = image.shape[:2]
+        if at == _sideways(seen) % width:
+            why = f"lie {min(at, width - at)} px along them from where they should, wrapped round"
+            return BrokenFrame("shift", "rows", 0, height - 1, why)
+        return _beyond(seen.turned(), at)
+
+    def _seam(self, levels: np.ndarray, mask: np.ndarray | None, axis: Axis) -> tuple[int, float]:
+        """The row, or column, behind the clearest seam, and the part of it that shows the seam; 0
+        without one."""
+        jump = np.diff(_narrow(levels, axis, PLACES[axis]) - self._known[axis], axis=0)
+        if mask is not None:
+            kept = _narrow(mask.astype(np.float32)[..., None], axis, PLACES[axis]) > 0.999
+            jump *= kept[1:] & kept[:-1]
+        at = _wide_seam(_narrow(jump, "rows", SMOOTH_ACROSS))
+        if at:
+            return at, 1.0
+        return _partial_seam(jump) if axis == "rows" else (0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -171,18 +191,14 @@ def _lost(seen: _Seen) -> BrokenFrame | None:
     inside = np.ones(image.shape[:2], dtype=bool) if mask is None else mask
     # Every sixteenth column first: of whole frames hardly a row is left to look at.
     sparse = np.s_[:, ::16]
-    likely = np.flatnonzero(_copies(image[sparse], inside[sparse]))
-    copied = np.zeros(count + 1, dtype=np.int8)
-    if len(likely):
-        first, end = int(likely[0]), int(likely[-1]) + 2
-        copied[first + 1 : end] = _copies(image[first:end], inside[first:end])
-    starts, ends = np.flatnonzero(np.diff(copied) == 1), np.flatnonzero(np.diff(copied) == -1)
-    # The first row of a run is no copy, but as good as none: what filled the others stands in it.
-    runs = [
-        (end - start + 1, int(start), int(end)) for start, end in zip(starts, ends, strict=True)
-    ]
+    least = max(4, round(LEAST_RUN_SHARE * count))
+    runs: list[tuple[int, int, int]] = []
+    for _, first, last in _runs(_copies(image[sparse], inside[sparse]), least):
+        part = slice(first, last + 1)
+        found = _runs(_copies(image[part], inside[part]), least)
+        runs += [(length, first + start, first + end) for length, start, end in found]
     for length, first, last in sorted(runs, reverse=True):
-        if length < max(4, round(LEAST_RUN_SHARE * count)) or length == count:
+        if length == count:
             break
         band = image[first : last + 1].astype(np.int16)
         known = np.ptp(untouched[first : last + 1].astype(np.float32), axis=0).max(axis=-1)
@@ -199,34 +215,29 @@ def _lost(seen: _Seen) -> BrokenFrame | None:
     return None
 
 
+def _runs(copied: np.ndarray, least: int) -> list[tuple[int, int, int]]:
+    """Runs of at least so many rows that are copies of one another: their lengths, first and last
+    rows, of those, without the first, that are copies of the one before."""
+    steps = np.diff(np.concatenate([[False], copied, [False]]).astype(np.int8))
+    # The first row of a run is no copy, but as good as none: what filled the others stands in it.
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    runs = zip((ends - starts + 1).tolist(), starts.tolist(), ends.tolist(), strict=True)
+    return [run for run in runs if run[0] >= least]
+
+
 def _copies(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Rows, without the first, that are copies of the one before, bool."""
-    change = np.abs(np.diff(image.astype(np.int16), axis=0)).max(axis=-1)
-    change *= inside[1:] & inside[:-1]
-    return change.max(axis=1) <= ALIKE_LEVELS
+    change = np.abs(np.diff(image.astype(np.int16, order="C"), axis=0))
+    change *= (inside[1:] & inside[:-1])[..., None]
+    return change.reshape(len(change), -1).max(axis=1) <= ALIKE_LEVELS
 
 
-def _seam(change: np.ndarray, mask: np.ndarray | None, axis: Axis) -> tuple[int, float]:
-    """The row, or column, behind the clearest seam in a change [levels], [h, w, 3], and the part of
-    it that shows the seam; 0 without one."""
-    jump = np.diff(_narrow(change, axis), axis=0)
-    if mask is not None:
-        kept = _narrow(mask.astype(np.float32)[..., None], axis) > 0.999
-        jump *= kept[1:] & kept[:-1]
-    at = _wide_seam(jump)
-    if at:
-        return at, 1.0
-    # A tool's straight edge may lie along columns, and be sharp in a drawn image.
-    return _partial_seam(jump) if axis == "rows" else (0, 0.0)
-
-
-def _narrow(picture: np.ndarray, axis: Axis) -> np.ndarray:
-    """Means along each row, or column, shape [row, ``ACROSS``, channel]."""
+def _narrow(picture: np.ndarray, axis: Axis, places: int) -> np.ndarray:
+    """Means along each row, or column, shape [row, place, channel]."""
     height, width, channels = picture.shape
-    size = (min(ACROSS, width), height) if axis == "rows" else (width, min(ACROSS, height))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    small = small.reshape(size[1], size[0], channels)
-    return small if axis == "rows" else np.swapaxes(small, 0, 1)
+    size = (min(places, width), height) if axis == "rows" else (width, min(places, height))
+    small = resized(picture, size).reshape(size[1], size[0], channels)
+    return small if axis == "rows" else np.ascontiguousarray(np.swapaxes(small, 0, 1))
 
 
 def _beside(values: np.ndarray, away: Sequence[int]) -> np.ndarray:
@@ -237,12 +248,21 @@ def _beside(values: np.ndarray, away: Sequence[int]) -> np.ndarray:
     return np.max([padded[k : k + len(values)] for k in both], axis=0)
 
 
+def _lengths(jump: np.ndarray) -> np.ndarray:
+    """Sizes of jumps [row, place, channel] over the channels."""
+    squares = cv2.transform(np.square(jump), np.ones((1, jump.shape[-1]), np.float32))
+    return np.sqrt(squares.reshape(jump.shape[:2]))
+
+
 def _partial_seam(jump: np.ndarray) -> tuple[int, float]:
     """The row behind the longest sharp seam, of jumps [row, place, channel], and its part of the
     width; 0 without one."""
-    size = np.sqrt(np.square(jump).sum(axis=-1))
-    sharp = (size > SEAM_LEVELS) & (size > SEAM_TIMES * _beside(size, (1, 2)))
+    size = _lengths(jump)
     width = max(4, round(SEAM_SHARE * jump.shape[1]))
+    sharp = size > SEAM_LEVELS
+    if np.count_nonzero(sharp, axis=1).max() <= SEAM_FILLED * width:
+        return 0, 0.0
+    sharp &= size > SEAM_TIMES * _beside(size, (1, 2))
     filled = cv2.blur(sharp.astype(np.float32), (width, 1), borderType=cv2.BORDER_CONSTANT)
     best = filled.max(axis=1)
     row = int(np.argmax(best))
@@ -250,9 +270,11 @@ def _partial_seam(jump: np.ndarray) -> tuple[int, float]:
 
 
 def _wide_seam(jump: np.ndarray) -> int:
-    """The row behind a seam over the whole width; 0 without one."""
-    smooth = cv2.blur(jump, (max(3, round(SMOOTH_SHARE * jump.shape[1])), 1))
-    size = np.median(np.sqrt(np.square(smooth).sum(axis=-1)), axis=1)
+    """The row behind a seam over the whole width, of jumps over ``SMOOTH_ACROSS`` places; 0 without
+    one."""
+    size = np.median(_lengths(jump), axis=1)
+    if size.max() <= WIDE_LEVELS:
+        return 0
     sharp = np.where(
         size > WIDE_LEVELS, size / np.maximum(_beside(size, NEAR), ROUNDED_LEVELS), 0.0
     )

@@ -17,7 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.reading.light import LightDrift, fit_light, lattice_pixels, smoothed
+from taccel_lab.reading.light import LightDrift, LightFit
+from taccel_lab.reading.thumb import SmallImage, resized
 
 QUARTER = 0.25
 MOST_LEVELS = 12.0
@@ -29,7 +30,7 @@ LEAST_GAIN, MOST_GAIN = 0.25, 4.0
 """Light outside this share of the background's is rejected; presses have 0.8 to 1.5."""
 CLEARLY = 3.0
 """An image whose channels or sides are exchanged fits the background better by this factor."""
-_LEAST_LEVELS = 3.0
+LEAST_LEVELS = 3.0
 """Differences below this are noise."""
 
 _EXCHANGED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -63,23 +64,32 @@ def unlike(
         light: Of the image against the background (``fit_light``).
         mask: Pixels that count, bool, shape [height, width].
     """
+    return not_of(SmallImage.of(background, mask), SmallImage.of(image, mask), light)
+
+
+def not_of(known: SmallImage, seen: SmallImage, light: LightDrift) -> str | None:
+    """Why an image is not of the sensor whose untouched image is ``known``, or None; ``light`` is
+    its own against that."""
+    known, seen = known.blocks, seen.blocks
+    usable = known.usable & seen.usable
     gain = np.asarray(light.gain, dtype=float)
     if not ((gain > LEAST_GAIN) & (gain < MOST_GAIN)).all():
-        if np.ptp(image.reshape(-1, image.shape[-1]), axis=0).max() < 1.0:
+        if np.ptp(seen.levels[usable], axis=0).max() < 1.0:
             return "it is of one colour"
         return (
             f"its light is {gain.min():.2g} to {gain.max():.2g} times the background's in the "
             f"channels; {LEAST_GAIN:g} to {MOST_GAIN:g} can be read"
         )
-    rows, columns = lattice_pixels(np.ones(image.shape[:2], bool) if mask is None else mask)
-    own, known = image[rows, columns], background[rows, columns]
-    straight = _off(own, known)
-    if straight > _LEAST_LEVELS:
+    if _off(seen.levels, known.levels, usable) > LEAST_LEVELS:
         for what, exchange in _EXCHANGED.items():
-            if straight > CLEARLY * _off(exchange(image)[rows, columns], known):
+            # Only where both count: a mask is exchanged, too.
+            both = usable & exchange(seen.usable[..., None])[..., 0]
+            straight = _off(seen.levels, known.levels, both)
+            if straight > max(
+                CLEARLY * _off(exchange(seen.levels), known.levels, both), LEAST_LEVELS
+            ):
                 return f"it fits the background {what}"
-    height, width = image.shape[:2]
-    off = _off(light.at(rows * width + columns, height, width).remove(own), known)
+    off = _off(light.within(seen).remove(seen.levels), known.levels, usable)
     if off > MOST_LEVELS:
         return (
             f"three quarters of its pixels differ from the background by more than {off:.0f} "
@@ -88,10 +98,11 @@ def unlike(
     return None
 
 
-def _off(pixels: np.ndarray, background: np.ndarray) -> float:
-    """Largest difference of a channel, of the quarter of pixels [n, 3] nearest to the background's
-    ones."""
-    return float(np.quantile(np.abs(pixels - background).max(axis=-1), QUARTER))
+def _off(levels: np.ndarray, known: np.ndarray, where: np.ndarray) -> float:
+    """Largest difference of a channel, of the quarter of blocks [h, w, 3] nearest to the
+    background's ones, of those ``where`` asked; 0 where there are none."""
+    off = np.abs(levels - known).max(axis=-1)[where]
+    return float(np.sort(off)[int(QUARTER * (len(off) - 1))]) if len(off) else 0.0
 
 
 def light_of_background(
@@ -103,14 +114,15 @@ def light_of_background(
     another pattern, it is the gain of each channel's mean: a lamp that is brighter by a part makes
     the untouched gel and the colours of a slope brighter by that part.
     """
-    counted = slice(None) if mask is None else mask
-    means = [image[counted].reshape(-1, 3).mean(axis=0) for image in (background, known)]
+    seen, old = (SmallImage.of(image, mask) for image in (background, known))
+    counted = seen.usable
+    means = [small.levels[counted].mean(axis=0) for small in (seen, old)]
     ratio = np.maximum(means[0], 1.0) / np.maximum(means[1], 1.0)
     # What a background does not tell, an even one above all, is a lamp's brightness, not an offset.
-    light = fit_light(background, known * ratio, mask)
+    light = LightFit(replace(old, levels=old.levels * ratio)).still(seen)
     light = replace(light, gain=light.gain * ratio)
-    left = background - light.apply(known)
-    own = known - np.median(known, axis=(0, 1))
+    left = seen.levels - light.within(seen).apply(old.levels)
+    own = old.levels - np.median(old.levels, axis=(0, 1))
     spread, whole = (float(np.median(np.abs(part[counted]))) for part in (left, own))
     if spread <= SAME_PATTERN * whole:
         return light
@@ -120,41 +132,97 @@ def light_of_background(
 def pattern_shift(
     image: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
 ) -> tuple[float, float] | None:
-    """How far the pattern of ``image`` lies right of and below that of ``background`` [px]; None
-    where it lies there, or where there is too little of one to tell.
-
-    Both are RGB levels in one light, shape [height_px, width_px, 3].
-    """
-    import cv2
-
-    sigma = max(GRAIN_SHARE * min(image.shape[:2]), 1.0)
-    seen, known = (_grain(picture, mask, sigma) for picture in (image, background))
-    window = cv2.createHanningWindow(seen.shape[::-1], cv2.CV_32F)
-    (right, down), _ = cv2.phaseCorrelate(known * window, seen * window)
-    if max(abs(right), abs(down)) <= MOST_PX * min(image.shape[:2]) / ROWS:
-        return None
-    moved = np.roll(known, (round(down), round(right)), (0, 1))
-    shifted, straight = (_correlation(seen, other, sigma) for other in (moved, known))
-    if shifted < ALIKE or shifted < straight + BETTER:
-        return None
-    return float(right), float(down)
+    """``Pattern.shift`` of an image, RGB levels in the background's light, as that is."""
+    known, seen = (SmallImage.of(each, mask, Pattern.LONGER_PX) for each in (background, image))
+    return Pattern(known).shift(seen)
 
 
-def _grain(picture: np.ndarray, mask: np.ndarray | None, sigma: float) -> np.ndarray:
-    """Fine structure of the mean of the channels [levels], float32, shape [height, width]."""
-    grey = picture.astype(np.float32) @ np.full(3, 1 / 3, np.float32)
-    grain = grey - smoothed(grey, mask, sigma)
-    return grain if mask is None else np.where(mask, grain, np.float32(0))
+class Pattern:
+    """What stands still of an untouched gel, and how far a frame has it moved."""
+
+    LONGER_PX = 320
+    """Longer side of the images that it is looked for in [px]."""
+
+    def __init__(self, known: SmallImage) -> None:
+        """``known``: the untouched image."""
+        import cv2
+
+        height, width = known.levels.shape[:2]
+        self._sigma = max(GRAIN_SHARE * min(height, width), 1.0)
+        self._window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+        self._known = self._grain(known, np.ones(3))
+        self._spectrum = self._spectrum_of(self._known)
+
+    def shift(self, seen: SmallImage, gain: np.ndarray | None = None) -> tuple[float, float] | None:
+        """How far the pattern of a frame lies right of and below that of the untouched image [px];
+        None where it lies there, or where there is too little of one to tell.
+
+        ``gain``: its light's gain of each channel, shape [3].
+        """
+        from scipy.fft import irfft2
+
+        grain = self._grain(seen, np.ones(3) if gain is None else gain)
+        both = self._spectrum_of(grain) * self._spectrum.conj()
+        both /= np.maximum(np.abs(both), 1e-12)
+        right, down = _peak(np.asarray(irfft2(both, s=grain.shape)))
+        height, width = seen.shape_px
+        scale_x, scale_y = width / grain.shape[1], height / grain.shape[0]
+        found = right * scale_x, down * scale_y
+        if max(map(abs, found)) <= MOST_PX * min(height, width) / ROWS:
+            return None
+        known = self._known if seen.share is None else self._known * (seen.share > 0)
+        straight = self._correlation(grain, known)
+        moved = np.roll(known, (round(down), round(right)), (0, 1))
+        if straight + BETTER > 1.0 or self._correlation(grain, moved) < max(
+            ALIKE, straight + BETTER
+        ):
+            return None
+        return found
+
+    def _grain(self, small: SmallImage, gain: np.ndarray) -> np.ndarray:
+        """Fine structure of the mean of the channels [levels], float32, shape [h, w]."""
+        import cv2
+
+        grey = cv2.transform(small.levels, (1.0 / (3.0 * gain))[None])
+        if small.share is None:
+            return grey - self._smooth(grey)
+        total = self._smooth(small.share)
+        mean = self._smooth(grey * small.share) / np.maximum(total, 1e-3)
+        return (grey - mean) * small.share
+
+    def _smooth(self, values: np.ndarray, sigmas: float = 1.0) -> np.ndarray:
+        """Gaussian mean, by an image whose pixels are half as wide as the Gaussian."""
+        import cv2
+
+        sigma = sigmas * self._sigma
+        height, width = values.shape
+        times = max(sigma / 2.0, 1.0)
+        small = resized(values, (max(1, round(width / times)), max(1, round(height / times))))
+        small = cv2.GaussianBlur(small, (0, 0), sigma * len(small) / height)
+        return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+
+    def _spectrum_of(self, grain: np.ndarray) -> np.ndarray:
+        from scipy.fft import rfft2
+
+        return np.asarray(rfft2(grain * self._window))
+
+    def _correlation(self, one: np.ndarray, other: np.ndarray) -> float:
+        """Median over the picture of the correlation in a neighbourhood: a contact has no pattern
+        of the background."""
+        both, own, others = (self._smooth(v, 2.0) for v in (one * other, one * one, other * other))
+        return float(np.median(both / np.sqrt(np.maximum(own * others, 1e-12))))
 
 
-def _correlation(one: np.ndarray, other: np.ndarray, sigma: float) -> float:
-    """Median over the picture of the correlation in a neighbourhood: a contact has no pattern of
-    the background."""
-    import cv2
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), 2 * sigma))
-
-    both = mean(one * other)
-    size = np.sqrt(np.maximum(mean(one * one) * mean(other * other), 1e-12))
-    return float(np.median(both / size))
+def _peak(values: np.ndarray) -> tuple[float, float]:
+    """Place of the largest of periodic values, to the right and down from the first, to a part of
+    a pixel: the mean over its neighbours, weighed by what they have."""
+    height, width = values.shape
+    row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+    rows, columns = row + np.arange(-2, 3), column + np.arange(-2, 3)
+    weight = np.maximum(values[np.ix_(rows % height, columns % width)], 0.0)
+    weight = weight / weight.sum() if weight.sum() > 0 else np.full((5, 5), 0.04)
+    right, down = float(weight.sum(axis=0) @ columns), float(weight.sum(axis=1) @ rows)
+    return (
+        right - width if right > width / 2 else right,
+        down - height if down > height / 2 else down,
+    )

@@ -134,6 +134,33 @@ def test_masked_pixels_do_not_count() -> None:
     assert say(np.where(mask[..., None], BACKGROUND, 0.0), mask) is None
 
 
+def test_lights_on_one_another_go_off_at_once_in_single_precision() -> None:
+    rng = np.random.default_rng(4)
+    image = rng.uniform(0, 255, (7, 9, 3)).astype(np.float32)
+    own, day = (
+        LightDrift(1 + 0.2 * rng.random(3), 9 * rng.random(3), 9 * rng.random((3, 2)))
+        for _ in range(2)
+    )
+    expected = day.remove(own.remove(image))
+    assert own.on(day).remove(image) == pytest.approx(expected, rel=1e-12, abs=1e-10)
+    for light in (own.on(day), LightDrift(own.gain, own.offset)):
+        found = light.removed(image)
+        assert found.dtype == np.float32
+        assert found == pytest.approx(light.remove(image), abs=1e-3)
+
+
+@pytest.mark.parametrize("width", [640, 427, 90])
+def test_a_gradient_is_that_over_the_whole_image(width: int) -> None:
+    """It is fitted to means over blocks, of which the outer ones end within the image."""
+    rng = np.random.default_rng(5)
+    known = gaussian_filter(rng.normal(0, 1, (width * 3 // 4, width, 3)), (9, 9, 0))
+    known = 120 + 20 * known / known.std()
+    u, v = np.linspace(-1, 1, width), np.linspace(-1, 1, len(known))
+    plane = u[None, :, None] * [9.0, -6.0, 3.0] + v[:, None, None] * [-4.0, 8.0, 0.0]
+    found = fit_light(known + plane + rng.normal(0, 1, known.shape), known)
+    assert found.gradient == pytest.approx(np.array([[9, -4], [-6, 8], [3, 0]]), abs=0.12)
+
+
 def test_light_goes_on_and_off_by_its_formula_to_the_bit():
     """Whole images are worked on by rows of all channels, lists of pixels as they are."""
     rng = np.random.default_rng(3)

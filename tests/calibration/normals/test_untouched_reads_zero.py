@@ -118,6 +118,16 @@ def test_a_frame_that_is_not_whole_is_refused_with_its_rows(name: str) -> None:
             reader.read(broken, "f.png")
 
 
+def test_nothing_is_read_from_a_frame_that_is_not_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks are the dear part of a reading, and would make a touch of a seam."""
+    image = mini_image(MINIS[0])
+    reader = reader_on(image)
+    assert reader.normal_model is not None
+    monkeypatch.setattr(type(reader.normal_model), "predict", None)
+    with pytest.raises(InputError, match="is not whole"):
+        reader.read(torn(image, 130, px=20))
+
+
 def test_a_gel_that_was_put_back_elsewhere_is_refused() -> None:
     image = mini_image(MINIS[0])
     rng = np.random.default_rng(0)

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of one sensor beside its untouched image: did one come whole, whose is it, in which light.
+
+What belongs to the untouched image is made once, and a frame is looked at on images that are made
+small of it, once for all who ask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from taccel_lab.reading.common_gain import CommonGain, CommonGains
+from taccel_lab.reading.dots.marker_picture import DotMask
+from taccel_lab.reading.light import LightDrift, LightFit
+from taccel_lab.reading.thumb import SmallImage
+from taccel_lab.reading.whole_frame import BrokenFrame, Seams, lost_rows
+from taccel_lab.reading.whose import Pattern, not_of
+
+
+class FrameJudge:
+    """Holds the untouched image that frames are judged by."""
+
+    def __init__(self, untouched: np.ndarray, mask: np.ndarray | None = None) -> None:
+        """A judge of the sensor's frames.
+
+        Args:
+            untouched: RGB levels, shape [height_px, width_px, 3].
+            mask: Pixels that count, bool, shape [height_px, width_px]; dots do not in any case.
+        """
+        self.untouched = untouched.astype(np.float32)
+        self._mask, self._dots = mask, DotMask.of(self.untouched)
+        self.seams = Seams(self.untouched)
+        self._rest = _Rest(self.untouched, self._counted(self.untouched))
+        self.pattern = Pattern(SmallImage.of(self.untouched, self._rest.mask, Pattern.LONGER_PX))
+
+    def frame(self, image: np.ndarray) -> JudgedFrame:
+        """A frame of the untouched image's size, RGB levels."""
+        levels = image.astype(np.float32)
+        rest = self._rest
+        if self._dots is not None:
+            rest = _Rest(self.untouched, self._counted(levels))
+        return JudgedFrame(image, levels, rest.mask, self, rest)
+
+    def _counted(self, levels: np.ndarray) -> np.ndarray | None:
+        """Pixels of an image that count and that no dot covers, bool, [h, w]; None for all."""
+        return self._mask if self._dots is None else self._dots.uncovered(levels, self._mask)
+
+
+class _Rest:
+    """The untouched image's side of what is asked of a frame, over the pixels that count in it."""
+
+    def __init__(self, untouched: np.ndarray, mask: np.ndarray | None) -> None:
+        self.mask = mask
+        self.small = SmallImage.of(untouched, mask)
+
+    @cached_property
+    def light(self) -> LightFit:
+        return LightFit(self.small)
+
+    @cached_property
+    def gains(self) -> CommonGains:
+        return CommonGains(self.small)
+
+
+@dataclass(frozen=True)
+class JudgedFrame:
+    """What is known of a frame before anything is read from it; each is found when asked for."""
+
+    image: np.ndarray
+    """RGB levels as they came, shape [height_px, width_px, 3]."""
+    levels: np.ndarray
+    """The same, float32."""
+    mask: np.ndarray | None
+    """Pixels that count, bool, [height_px, width_px]: those under dots do not; None for all."""
+    _judge: FrameJudge
+    _rest: _Rest
+
+    def with_levels(self, levels: np.ndarray) -> JudgedFrame:
+        """The same frame with other levels, of its shape."""
+        return replace(self, levels=levels.astype(np.float32))
+
+    @cached_property
+    def lost(self) -> BrokenFrame | None:
+        """Rows or columns that the camera lost."""
+        return lost_rows(self.image, self._judge.untouched, self.mask)
+
+    @cached_property
+    def torn(self) -> BrokenFrame | None:
+        """Rows or columns beyond a seam."""
+        return self._judge.seams.torn(self.levels, self.mask)
+
+    @cached_property
+    def still(self) -> LightDrift:
+        """The frame's light against the untouched image's if nothing touches."""
+        return self._rest.light.still(self._small)
+
+    @cached_property
+    def pressed(self) -> LightDrift:
+        """The same if something is pressed into the gel."""
+        return self._rest.light.press(self._small)
+
+    @cached_property
+    def common(self) -> CommonGain | None:
+        """A factor of all channels that is no touch."""
+        small = self._small
+        return self._rest.gains.of(self.still.within(small).remove(small.levels))
+
+    def fault(self) -> str:
+        """Why it is not what the camera sees of the gel where it was, or nothing."""
+        if self.lost is not None:
+            return str(self.lost)
+        # Dots go with the gel that a press drags along; only what else there is stands still.
+        torn, shift = self.torn, self._shift
+        if torn is None and shift is None:
+            return ""
+        # An image of another sensor has seams against the background, too.
+        foreign = self.foreign(self.pressed)
+        if foreign:
+            return foreign
+        if torn is not None and (shift is None or torn.last - torn.first >= max(map(abs, shift))):
+            return str(torn)
+        assert shift is not None
+        right, down = shift
+        return (
+            f"shows the untouched gel's pattern {right:+.0f} px to the right and {down:+.0f} px "
+            "down of where the background has it: gel or camera has moved. Give an image of the "
+            "untouched sensor as it is now (--background)"
+        )
+
+    def foreign(self, light: LightDrift) -> str:
+        """Why it is not of the untouched image's sensor, in its ``light``, or nothing."""
+        why = not_of(self._rest.small, self._small, light)
+        return "" if why is None else f"is no image of the sensor that was calibrated: {why}"
+
+    @cached_property
+    def _small(self) -> SmallImage:
+        return SmallImage.of(self.levels, self.mask)
+
+    @cached_property
+    def _shift(self) -> tuple[float, float] | None:
+        gain = np.clip(self.still.gain, 0.25, 4.0)
+        small = SmallImage.of(self.levels, self.mask, Pattern.LONGER_PX)
+        return self._judge.pattern.shift(small, gain)
