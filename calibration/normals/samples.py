@@ -408,12 +408,12 @@ def errors_of(
         angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[part][kept])
     sigmas = angle / found.sigma_deg[kept]
     grid = scene.grid.thinned(every)
-    trials = [HeightUncertainty(grid, length / every) for length in LENGTHS_PX]
+    uncertain = [HeightUncertainty(grid, length / every) for length in LENGTHS_PX]
     weights = None if scene.mask is None else scene.mask[part].astype(float)
     slope_sigma = found.slope_sigma()
-    spreads = [trial.sigma_m(slope_sigma, weights=weights, zero=read.zero) for trial in trials]
+    spreads = [each.sigma_m(slope_sigma, weights=weights, zero=read.zero) for each in uncertain]
     # Over any length alike: it is smooth, and the grid of the shortest is the finest.
-    along = trials[0].along_m(read.slope, slope_sigma, weights=weights, zero=read.zero)
+    along = uncertain[0].along_m(read.slope, slope_sigma, weights=weights, zero=read.zero)
     return ReadingErrors(
         angle_sigmas=sigmas,
         height_m=_beyond(

@@ -131,21 +131,25 @@ def with_deviations(
     """What was read with the radius of normals and the deviations of heights by ``config``, which
     may state wider ones than the model had; the rest as of ``read_heights``, thinned by
     ``every``."""
-    import torch
 
     normals = read.normals
     normals = replace(normals, radius95_deg=config.radius95_sigmas * normals.sigma_deg)
     read = replace(read, normals=normals)
     if config.height_factor <= 0:
         return read
-    weights = None if mask is None else mask.astype(float)
-    slope_sigma = tensor_of(normals.slope_sigma())
-    slope, rise = tensor_of(read.slope), tensor_of(read.rise_m)
-    trials = HeightUncertainty(grid, config.error_length_px / every)
-    reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=read.zero)
-    along = trials.along_m(slope, slope_sigma, weights=weights, zero=read.zero)
-    off = torch.hypot(config.along_factor * along, config.depth_share * rise)
-    sigma, given = torch.hypot(reading, off), read.rise_m
+    uncertain = HeightUncertainty(grid, config.error_length_px / every)
+    part, vectors = uncertain.part, (*uncertain.part, slice(None))
+    seen = replace(normals, tilt_rad=normals.tilt_rad[vectors], sigma_deg=normals.sigma_deg[part])
+    reading, along = uncertain.both_m(
+        tensor_of(read.slope[vectors]), tensor_of(seen.slope_sigma()), weights=mask, zero=read.zero
+    )
+    rise = tensor_of(read.rise_m)
+    # As a sum of squares: a third of the time of ``hypot``.
+    reading = (config.height_factor * reading).to(rise.dtype)
+    variance = (config.along_factor * along).square_().to(rise.dtype)
+    variance.addcmul_(reading, reading).addcmul_(rise, rise, value=config.depth_share**2)
+    sigma = variance.sqrt_()
+    given = read.rise_m
     return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))
 
 

@@ -164,12 +164,12 @@ def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> tor
     [..., height_px, width_px]; a mean of the right side, which no surface has, is dropped.
     """
     height, width = right_side.shape[-2:]
-    inverse = tensor_of(_inverse_laplacian(height, width, steps_m), like=right_side)
+    inverse = tensor_of(inverse_laplacian(height, width, steps_m), like=right_side)
     return from_cosines(cosines(right_side) * inverse)
 
 
 @lru_cache(maxsize=16)
-def _inverse_laplacian(height: int, width: int, steps_m: tuple[float, float]) -> np.ndarray:
+def inverse_laplacian(height: int, width: int, steps_m: tuple[float, float]) -> np.ndarray:
     """Inverse of the Laplacian of cosines, shape [height, width]; 0 for the mean."""
     along_x = (2 * np.cos(np.pi * np.arange(width) / width) - 2) / steps_m[0] ** 2
     along_y = (2 * np.cos(np.pi * np.arange(height) / height) - 2) / steps_m[1] ** 2

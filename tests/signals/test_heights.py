@@ -152,16 +152,6 @@ def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along():
     np.testing.assert_allclose(along, -DENT, atol=5e-5)
 
 
-def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatch):
-    sigma, weights = np.full((75, 80), 0.02), np.ones((75, 80))
-    sigma[10:30, 10:30], weights[50:, :20] = 0.2, 0.0
-    coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
-    monkeypatch.setattr("taccel_lab.reading.heights.POINTS_PER_LENGTH", 8.0)
-    fine = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
-    assert coarse.mean() == pytest.approx(fine.mean(), rel=0.35)
-    assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.5
-
-
 CURVE = DepthResponse("grey", np.array([0.0, 2.0, 20.0, 60.0]), np.array([0.0, 0.1, 0.5, 1.9]))
 
 
