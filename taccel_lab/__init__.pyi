@@ -6,6 +6,7 @@ from taccel_lab.api.calibrate import calibrate as calibrate
 from taccel_lab.api.press_options import PressOptions as PressOptions
 from taccel_lab.api.press_result import Press as Press
 from taccel_lab.api.press_run import press as press
+from taccel_lab.api.read import Reader as Reader
 from taccel_lab.api.read import read as read
 from taccel_lab.api.sensor import Sensor as Sensor
 from taccel_lab.api.sensor import list_sensors as list_sensors

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from taccel_lab.api.any_sensor import AnySensor, reading_profile_of
+from taccel_lab.api.images import each_image, pixels_of
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_shape
 from taccel_lab.processes.start_warp import start_warp
@@ -18,14 +19,96 @@ from taccel_lab.typed import typed
 if TYPE_CHECKING:
     import torch
 
+    from taccel_lab.profile import SensorProfile
+    from taccel_lab.reading.reader import Reader as ImageReader
     from taccel_lab.reading.reading import Reading
 
     Pixels = np.ndarray | torch.Tensor
     Image = Pixels | Path | str
 else:
-    Pixels = Image = Any  # Judged by ``_pixels``.
+    Pixels = Image = Any  # Judged by ``pixels_of``.
 
 Method = Literal["auto", "normals", "depth"]
+
+
+class Reader:
+    """Images of one sensor in, readings out; what no image changes is made once."""
+
+    @typed
+    def __init__(
+        self,
+        sensor: AnySensor,
+        *,
+        background: Image | None = None,
+        mask: np.ndarray | None = None,
+        method: Method = "auto",
+        device: str = "cpu",
+    ) -> None:
+        """
+        Args:
+            sensor: As of ``read``.
+            background: The untouched sensor where it is newer than the profile's own; a starter
+                profile needs it.
+            mask: Pixels that count, bool, [height_px, width_px].
+            method: As of ``read``.
+            device: Of torch, on which colours are read to heights: ``cpu``, ``cuda:0``.
+
+        Raises:
+            InputError: A profile without such a block, a starter profile without a background, a
+                background or mask of another size, no such device.
+        """
+        start_warp()
+        profile = reading_profile_of(sensor)
+        self._reader = _made(profile, (), _given(background), mask, method, device)
+
+    @overload
+    def __call__(self, image: Sequence[Image]) -> list[Reading]: ...
+    @overload
+    def __call__(self, image: Any) -> Any: ...
+    def __call__(self, image: Any) -> Reading | list[Reading]:
+        """Read an image or several, as of ``read``; errors too."""
+        return _read_by(self._reader, image)
+
+    def stream(
+        self,
+        frames: Path | str | Iterable[Any],
+        refused: Callable[[InputError], None] | None = None,
+    ) -> Iterator[Reading]:
+        """Read frames one after another, each when it is asked for.
+
+        Args:
+            frames: A recording as of ``taccel-lab read`` (video, folder of images, HDF5 file of
+                UniVTAC, LeRobot data set), whose times a gel that relaxes is followed by; or
+                images, as a camera gives them.
+            refused: Told of each frame that is refused, which is then left out; without it the
+                first one ends the stream.
+
+        Raises:
+            InputError: No recording, or a frame that cannot be read where nobody is told.
+        """
+        for image, name, time_s in _frames(frames):
+            try:
+                if isinstance(image, InputError):
+                    raise image
+                found = self._reader.read(*pixels_of(image, name), time_s)
+            except InputError as error:
+                if refused is None:
+                    raise
+                refused(error)
+                continue
+            yield found
+
+
+def _frames(frames: Path | str | Iterable[Any]) -> Iterator[tuple[Any, str, float | None]]:
+    """Image, name and time of each frame."""
+    if isinstance(frames, (Path, str)):
+        from taccel_lab.calibration.capture.camera.recording import Recording
+
+        for frame in Recording.of(Path(frames)).frames():
+            yield frame.image, frame.name, frame.time_s
+    else:
+        for number, image in enumerate(frames):
+            yield image, f"frame {number}", None
 
 
 @overload
@@ -36,7 +119,7 @@ def read(
     background: Image | None = None,
     mask: np.ndarray | None = None,
     method: Method = "auto",
-) -> Reading: ...
+) -> Any: ...
 @overload
 def read(
     sensor: AnySensor,
@@ -66,14 +149,15 @@ def read(
 ) -> Reading | list[Reading]:
     """Read depth, its standard deviation, normals, pressure and force from an image, or several.
 
-    Long recordings are read by ``taccel-lab read``, frame by frame.
+    The last few sensors stay ready: a loop of single calls reads as fast as a ``Reader``. Long
+    recordings are read by ``taccel-lab read``, frame by frame.
 
     Args:
         sensor: A profile with normals or depths, its folder, a calibration, or a sensor of the
             catalogue with a starter profile.
         image: RGB levels 0..255, [height_px, width_px, 3] or [3, height_px, width_px], an array or
-            a tensor; or an image file. Several are a list of these, or a folder, whose images are
-            read in natural order.
+            a tensor; or an image file. Several are a list of these, an array or tensor with one
+            more axis in front, or a folder, whose images are read in natural order.
         background: The untouched sensor where it is newer than the profile's own. With a starter
             profile it is looked for beside image files.
         mask: Pixels that count, bool, [height_px, width_px].
@@ -81,84 +165,66 @@ def read(
 
     Returns:
         What the image shows. ``depth_m`` is positive in a dent and, within its interval, 0 where
-        nothing touches. A list of them for a list or a folder.
+        nothing touches. A list of them for several.
 
     Raises:
         InputError: A profile without such a block, an image of another size or sensor, a folder
             without images, a starter profile without an untouched image.
     """
-    from taccel_lab.calibration.untouched_frame import UntouchedFrame
-    from taccel_lab.reading.reader import Reader
+    from taccel_lab.api.kept_readers import kept_reader
 
     start_warp()
-    images = _each(image)
-    one = images is None
-    shown = [image] if one else images
+    images = each_image(image)
+    shown = [image] if images is None else images
     files = [Path(each) for each in shown if isinstance(each, (Path, str))]
-    given = None
-    if background is not None:
-        is_file = isinstance(background, (Path, str))
-        given = Path(background) if is_file else _pixels(background, "the background")[0]
-    untouched = UntouchedFrame.of(reading_profile_of(sensor), files, given, option="background=")
+    given = _given(background)
+
+    def made(profile: SensorProfile) -> ImageReader:
+        return _made(profile, files, given, mask, method)
+
+    kept = kept_reader(sensor, given, mask, method, files, made)
+    with kept.lock:
+        return _read_by(kept.reader, image, images)
+
+
+def _given(background: Any) -> np.ndarray | Path | None:
+    if background is None:
+        return None
+    if isinstance(background, (Path, str)):
+        return Path(background)
+    return pixels_of(background, "the background")[0]
+
+
+def _made(
+    profile: SensorProfile,
+    files: Sequence[Path],
+    given: np.ndarray | Path | None,
+    mask: np.ndarray | None,
+    method: Method,
+    device: str = "cpu",
+) -> ImageReader:
+    from taccel_lab.calibration.untouched_frame import UntouchedFrame
+    from taccel_lab.reading.reader import Reader as ImageReader
+
+    untouched = UntouchedFrame.of(profile, files, given, option="background=")
     if mask is not None:
         camera = untouched.profile.camera
         require_shape("mask", mask, (camera.height_px, camera.width_px))
-        mask = np.asarray(mask, bool)
-    reader = Reader(
+        mask = np.array(mask, bool)
+    return ImageReader(
         untouched.profile,
         background=untouched.image,
         background_name=untouched.name,
         mask=mask,
         method=method,
+        device=device,
     )
-    found = [
-        reader.read(*_pixels(each, "image" if one else f"image {k}"))
-        for k, each in enumerate(shown)
-    ]
-    return found[0] if one else found
 
 
-def _each(image: Any) -> list[Any] | None:
-    """The images of a list or a folder; None of what is one image."""
-    if isinstance(image, (Path, str)):
-        if not Path(image).is_dir():
-            return None
-        from taccel_lab.calibration.capture.camera.recording import Recording
-
-        names = Recording.of(Path(image)).names
-        if not names:
-            raise InputError(f"{image} is a data set: taccel-lab read reads it frame by frame")
-        return [Path(image) / name for name in names]
-    if isinstance(image, Sequence):
-        if not image:
-            raise InputError("the list of images is empty; give at least one")
-        return list(image)
-    return None
-
-
-def _pixels(image: Any, name: str) -> tuple[np.ndarray, str]:
-    """Levels of an image, and what errors call it."""
-    if isinstance(image, (Path, str)):
-        from taccel_lab.files.images import read_image
-
-        return read_image(Path(image)), str(image)
-    if hasattr(image, "detach"):
-        image = image.detach().cpu()
-    levels: np.ndarray
-    try:
-        levels = np.asarray(image)
-    except ValueError:  # A list of lists of unequal lengths.
-        levels = np.empty(0, object)
-    if levels.ndim == 3 and levels.shape[0] == 3 != levels.shape[2]:
-        levels = np.moveaxis(levels, 0, 2)
-    if levels.ndim != 3 or levels.shape[2] != 3:
-        several = "; several are given as a list" if levels.ndim == 4 else ""
-        raise InputError(
-            f"{name} has shape {list(levels.shape)}; RGB levels of shape [height, width, 3] or "
-            f"[3, height, width] are needed{several}"
-        )
-    if levels.dtype.kind not in "uif":
-        raise InputError(f"{name} holds no levels 0 to 255 but values of {levels.dtype}")
-    if levels.dtype != np.uint8 and levels.max(initial=0) <= 1:
-        raise InputError(f"{name} holds levels from 0 to 1; multiply it by 255")
-    return levels, name
+def _read_by(
+    reader: ImageReader, image: Any, images: list[Any] | None = None
+) -> Reading | list[Reading]:
+    images = each_image(image) if images is None else images
+    if images is None:
+        return reader.read(*pixels_of(image, "image"))
+    return [reader.read(*pixels_of(each, f"image {k}")) for k, each in enumerate(images)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from taccel_lab.api.any_sensor import AnySensor, changed_profile, reading_profile_of
 from taccel_lab.api.press_run import press
-from taccel_lab.api.read import read
+from taccel_lab.api.read import Method, Reader, read
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.typed import typed
@@ -35,6 +35,17 @@ class Sensor(SensorProfile):
 
     press = press
     read = read
+
+    def reader(
+        self,
+        *,
+        background: Image | None = None,
+        mask: np.ndarray | None = None,
+        method: Method = "auto",
+        device: str = "cpu",
+    ) -> Reader:
+        """Make a reader that is kept; arguments and errors as of ``Reader``."""
+        return Reader(self, background=background, mask=mask, method=method, device=device)
 
     def depth(
         self, image: Image | Sequence[Image], *, background: Image | None = None

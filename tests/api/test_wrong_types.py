@@ -32,6 +32,8 @@ SOUND: dict[str, dict[str, Any]] = {
     "PressOptions": {"depth_mm": 0.3, "indenter": "sphere:4", "at_mm": (0.0, 0.0), "like": None},
     "PressPath": {"depth_mm": 0.3, "shear_mm": (0.0, 0.0), "back": False},
     "PrismaticJoint": {"first": "a", "second": "b", "limits_mm": (-1.0, 1.0), "drive": None},
+    "Reader": {"sensor": "none", "background": None, "mask": None, "method": "auto",
+               "device": "cpu"},
     "RevoluteJoint": {"first": "a", "second": "b", "axis": (0.0, 0.0, 1.0)},
     "Scene": {"soft_bodies": (), "env_count": 1, "time": None, "pair_friction": None},
     "SoftBody": {"mesh": TET, "material": tl.Material(1e5, 0.4), "bonded_nodes": None},
