@@ -74,7 +74,7 @@ class Reader:
         frames: Path | str | Iterable[Any],
         refused: Callable[[InputError], None] | None = None,
     ) -> Iterator[Reading]:
-        """Read frames one after another, each when it is asked for.
+        """Read frames one after another, each as the loop comes to it.
 
         Args:
             frames: A recording as of ``taccel-lab read`` (video, folder of images, HDF5 file of
