@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.slope_integration import resting_height
+from taccel_lab.reading.slope_integration import border_of, height_from_slopes, plane_of
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.spread_operator import Plane, SpreadOperator, spread_operator
 from taccel_lab.signals.depth_response import LUMA, DepthResponse
@@ -135,15 +135,15 @@ class LightErrors:
 
         self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
         self._part = np.s_[::every, ::every]
-        self._grid, self._size = grid.thinned(every), background.shape[1::-1]
+        self._size = background.shape[1::-1]
         self._level = background.reshape(-1, 3).mean(axis=0)
         terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
-        self._weights = None if mask is None else mask[self._part].astype(float)
         rest = 0.0
         if rest_normals is not None:
             thin = rest_normals[self._part]
             rest = thin[..., :2] / thin[..., 2:]
-        self._slopes = np.empty((3, 4, self._grid.height_px, self._grid.width_px, 2))
+        thinned = grid.thinned(every)
+        slopes = np.empty((3, 4, thinned.height_px, thinned.width_px, 2))
         for channel in range(3):
             for k, term in enumerate(terms):
                 probe = PROBE_LEVELS / max(float(np.abs(term[..., channel]).max()), 1e-9)
@@ -152,7 +152,10 @@ class LightErrors:
                 read = model.predict(
                     image, background, mask=mask, rest_normals=rest_normals, every=every
                 )
-                self._slopes[channel, k] = (read.slopes() + rest) / probe
+                slopes[channel, k] = (read.slopes() + rest) / probe
+        weights = None if mask is None else mask[self._part].astype(float)
+        self._heights = tensor_of(height_from_slopes(slopes, thinned, weights=weights))
+        self._border = border_of((thinned.height_px, thinned.width_px), self._heights)
 
     def sigma_m(
         self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
@@ -166,18 +169,28 @@ class LightErrors:
         """
         import cv2
 
-        part = zero if zero is None or every > 1 else zero[self._part]
-        if part is not None and not part.any():
-            part = None
-        heights = resting_height(self._slopes, self._grid, weights=self._weights, zero=part)
+        at_rest = self._border
+        if zero is not None:
+            part = tensor_of(zero if every > 1 else zero[self._part])
+            at_rest = part if part.any() else at_rest
+        heights = (self._heights - plane_of(self._heights, at_rest)).flatten(-2).numpy()
         found = []
         for light in lights:
-            covariance = light.covariance_at(self._level)
-            variance = np.einsum("ckhw,ckl,clhw->hw", heights, covariance, heights)
+            products = light.covariance_at(self._level) @ heights
+            variance = np.einsum("ckp,ckp->p", heights, products)
+            sigma = np.sqrt(np.maximum(variance, 0.0), dtype=np.float32)
+            sigma = sigma.reshape(self._border.shape)
             if every == 1:
-                variance = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
-            found.append(np.sqrt(np.maximum(variance, 0.0)))
+                sigma = cv2.resize(sigma, self._size, interpolation=cv2.INTER_LINEAR)
+            found.append(sigma)
         return found
+
+
+def together(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Standard deviation of a sum of independent errors; a third of the time of ``hypot``."""
+    total = np.square(one)
+    total += np.square(other)
+    return np.sqrt(total, out=total)
 
 
 def grey_light_sigma_mm(

@@ -17,7 +17,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm
+from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
@@ -227,7 +227,7 @@ class Reader:
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
             (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, every)
-            sigma_m = np.hypot(sigma_m, light_m)
+            sigma_m = together(sigma_m, light_m)
         return touch_of(found.rise_m, sigma_m, self.grid.thinned(every)).any
 
     def surface(self, lit: LitImage, name: str = "image") -> Reading:
@@ -253,7 +253,7 @@ class Reader:
             light_m = 1e-3 * grey_light_sigma_mm(
                 self.response, lit.light, self.background, found.depth_mm
             )
-            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
+            sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, light_m)
         return self._reading(
             lit, name, found.height_m, sigma_m, alone_m,
             method="depth",
@@ -284,7 +284,7 @@ class Reader:
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
-            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
+            sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, still_m)
         return self._reading(
             lit, name, found.rise_m, sigma_m, alone_m,
             method="normals",
