@@ -164,7 +164,7 @@ class StripChart:
 
 
 FIGURES_EVERY_S = 0.25
-STAGES = {"wait": "wait for camera", "frame": "crop", "age": "taken to shown"}
+STAGES = {"wait": "wait for camera", "frame": "whole, and ours", "age": "taken to shown"}
 """Stages whose short name says too little."""
 SPREAD = " +-"
 """Ends the name of a standard deviation, before its unit; in words it stands before one."""
@@ -238,6 +238,7 @@ class LivePage:
         self._sheet, self._name = sheet, name
         self._every_s = 1.0 / pictures_hz
         self._drawn_s = self._shown_s = float("-inf")
+        self._drawing, self._settling = threading.Lock(), threading.Timer(0.0, lambda: None)
         self._again, self._keep = threading.Event(), threading.Event()
         self._snapshots = snapshots
         gui = sheet.server.gui
@@ -254,21 +255,41 @@ class LivePage:
         self._latency = add_note(gui)
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None:
-        """Draw a reading, unless the last one was drawn just now."""
+        """Draw a reading, unless the last one was drawn just now; one that no other follows is
+        drawn a moment later."""
         now = time.monotonic()
+        self._settling.cancel()
         self._chart.add(now, reading)
         if self._keep.is_set():
             self._keep.clear()
             kept = save_snapshot(reading, self._snapshots)
             self._kept.content = PageText("wrote {}").format(str(kept))
-        if now - self._drawn_s >= self._every_s:
-            self._drawn_s = now
-            self._sheet.show(self._name, reading, reader.background)
-        if now - self._shown_s >= FIGURES_EVERY_S:
-            self._shown_s = now
-            self._figures.content = figures_text(reading, reader)
-            self._latency.content = latency_text(latency, reader)
-            self._chart.draw()
+        pictures = now - self._drawn_s >= self._every_s
+        figures = now - self._shown_s >= FIGURES_EVERY_S
+        self._draw(reading, reader, latency, pictures, figures)
+        if not (pictures and figures):
+            shown = reading, reader, latency, not pictures, not figures
+            self._settling = threading.Timer(FIGURES_EVERY_S, self._draw, shown)
+            self._settling.daemon = True
+            self._settling.start()
+
+    def _draw(
+        self,
+        reading: LiveReading,
+        reader: LiveReader,
+        latency: Latency,
+        pictures: bool,
+        figures: bool,
+    ) -> None:
+        with self._drawing:
+            if pictures:
+                self._drawn_s = time.monotonic()
+                self._sheet.show(self._name, reading, reader.background)
+            if figures:
+                self._shown_s = time.monotonic()
+                self._figures.content = figures_text(reading, reader)
+                self._latency.content = latency_text(latency, reader)
+                self._chart.draw()
 
     def tell(self, text: str) -> None:
         """Say what to do, in bold."""
@@ -332,7 +353,8 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
     found = latency.figures()
     if not found["frames"]:
         return PageText()
-    rows = [("all work", found["busy_ms"]), *found["stages_ms"].items()]
+    rows = [("all work", found["busy_ms"]), ("of a core", found["cpu_ms"])]
+    rows += found["stages_ms"].items()
     table = [
         (STAGES.get(name, name), f"{ms['median']:.1f}", f"{ms['p95']:.1f}")
         for name, ms in rows

@@ -134,6 +134,19 @@ def run_together(sessions: Sequence[Generator[LiveResult, None, None]]) -> list[
     return [results[number] for number in range(len(sessions))]
 
 
+def measured_rest(open_: Callable[[], Camera], framing: Framing = Framing()) -> np.ndarray | None:
+    """The untouched gel that a replay shows, RGB float32, [height_px, width_px, 3]; None where it
+    shows none for as long as it has to."""
+    trigger = Trigger()
+    with closing(shots(open_, lambda _: None)) as stream:
+        for event in stream:
+            if isinstance(event, Shot):
+                trigger.see(framing.apply(event.image), event.time_s)
+            if trigger.untouched is not None:
+                return trigger.untouched
+    return None
+
+
 def live_session(
     make_reader: Callable[[np.ndarray], LiveReader],
     open_: Callable[[], Camera],
@@ -203,7 +216,7 @@ def live_session(
             start, start_cpu = time.perf_counter(), time.thread_time()
             reading = result.reader.read(shot.image, shot.time_s)
             result.last = reading
-            stages = {"wait": arrived - waited, "frame": start - arrived, **reading.stages_s}
+            stages = {"wait": arrived - waited, "crop": start - arrived, **reading.stages_s}
             drawn = time.perf_counter()
             for watcher in watchers:
                 watcher.show(reading, result.reader, result.latency)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import Counter
 from functools import cache
 from typing import TYPE_CHECKING
@@ -16,10 +17,12 @@ from taccel_lab.reading.reading import Reading
 from taccel_lab.report.painted_mesh import painted_mesh
 
 if TYPE_CHECKING:
-    from viser import ViserServer
+    from viser import GlbHandle, ViserServer
 
 MOST_POINTS = 20_000
 """Points of one sensor at most; a frame of them is 1 MB."""
+LOADED_S = 0.15
+"""Time in which a page has loaded a surface: the one before is hidden then."""
 DIRECTION = np.array((0.25, -0.8, 0.9))
 """Direction from which surfaces are seen at first."""
 PALE = 0.25
@@ -35,6 +38,7 @@ class SurfaceView:
         self._server = server
         self._shown: dict[str, Reading] = {}
         self._frames: Counter[str] = Counter()
+        self._handles: dict[tuple[str, int], GlbHandle] = {}
 
     def hide(self) -> bool:
         """Take all surfaces off the page; whether there were any."""
@@ -42,6 +46,7 @@ class SurfaceView:
             return False
         self._server.scene.remove_by_name("/live")
         self._shown.clear()
+        self._handles.clear()
         return True
 
     def show(self, name: str, found: Reading | None, *, relief: float, least_mm: float) -> float:
@@ -68,9 +73,9 @@ class SurfaceView:
         at_mm = self._place_mm(name)
         points_mm, shown = surface_mesh(found, relief, deepest_mm, at_mm, rejected=rejected)
         with self._server.atomic():
-            # A page takes a moment to load one: the last stays until the next but one comes.
+            # A page takes a moment to load one: the last stays so long.
             self._frames[name] += 1
-            self._server.scene.add_glb(
+            self._handles[name, self._frames[name] % 2] = self._server.scene.add_glb(
                 f"/live/{name or 'gel'}/{self._frames[name] % 2}",
                 shown,
                 cast_shadow=False,
@@ -83,7 +88,16 @@ class SurfaceView:
                 )
         if first:
             self._look()
+        settled = threading.Timer(LOADED_S, self._hide_last, (name, self._frames[name]))
+        settled.daemon = True
+        settled.start()
         return deepest_mm
+
+    def _hide_last(self, name: str, frame: int) -> None:
+        """Hide the surface before ``frame``, unless another has taken its place."""
+        last = self._handles.get((name, 1 - frame % 2))
+        if last is not None and self._frames[name] == frame:
+            last.visible = False
 
     def _place_mm(self, name: str) -> float:
         """Where the middle of a sensor lies along x, in the order of the names."""

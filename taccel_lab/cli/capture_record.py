@@ -47,14 +47,16 @@ class CameraFlags:
     white_balance: float | None = None
     """White balance to lock, usually a temperature in kelvin. Default: the present one."""
 
-    def opener(self, paced: bool) -> Callable[[], Camera]:
-        """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for
-        a size that is none."""
+    def opener(
+        self, paced: bool, unread: Callable[[str], None] | None = None
+    ) -> Callable[[], Camera]:
+        """Opens the camera; a replay keeps its frames' times when ``paced``, and tells ``unread``
+        of frames that cannot be read. Raises InputError for a size that is none."""
         from taccel_lab.calibration.capture.camera.camera import parse_size
         from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 
         size = None if self.size is None else parse_size(self.size, "--size")
-        return lambda: open_camera(self.camera, size, CameraReplay(paced=paced))
+        return lambda: open_camera(self.camera, size, CameraReplay(paced=paced, unread=unread))
 
     def framing(self) -> Framing:
         """What is kept of each frame."""

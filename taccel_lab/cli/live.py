@@ -42,14 +42,15 @@ class Live(CameraFlags):
     """Profile folder of this sensor, or a sensor of the catalogue with a starter profile. Several
     sensors at once: left=PROFILE,right=PROFILE, or one for all, with --camera left=ID,right=ID."""
     background: Literal["camera", "profile"] = "camera"
-    """The untouched gel: from the camera's first frames (do not touch it), or from the profile. A
-    starter profile finds it in what is replayed, as taccel-lab read does."""
+    """The untouched gel: from the camera's first frames (do not touch it), or from the profile.
+    What is replayed is read as by taccel-lab read: against the profile's, and with a starter
+    profile against what is found."""
     device: str = "cpu"
     """Device of torch on which colours are read to heights: cpu, cuda:0, ..."""
     frames: int | None = None
     """Stop after this number of frames. Default: stop by the page's button or Ctrl-C."""
     paced: bool = True
-    """A replay keeps its frames' times; --no-paced shows them as fast as they are read."""
+    """A video keeps its frames' times; --no-paced shows them as fast as they are read."""
     page: bool = True
     """Show the page in the browser; --no-page reads and measures alone."""
     pictures_hz: float = 15.0
@@ -124,6 +125,7 @@ class Live(CameraFlags):
         so; a capture folder is replayed from the gel at rest, as a camera shows it."""
         from taccel_lab.calibration.capture.camera.replay import replayed_files
         from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+        from taccel_lab.calibration.live.run import measured_rest
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
 
         files = replayed_files(camera)
@@ -139,7 +141,11 @@ class Live(CameraFlags):
             camera=files[1],
             option="background.png beside what is replayed",
         )
-        return found.profile, found.image
+        if found.image is not None or profile.background_rgb is not None:
+            rest = found.profile.untouched(found.image, found.name)
+            return found.profile, rest.astype("float32")
+        # By a first pass, so that no frame is taken away.
+        return profile, measured_rest(replace(self, camera=camera).opener(False), framing)
 
     def _session(
         self,
@@ -161,17 +167,18 @@ class Live(CameraFlags):
             force = None if profile.force is None else _forces(profile, background)
             return LiveReader(profile, background, force=force, device=self.device)
 
-        watchers: list[LiveWatcher] = [_Lines(name)]
+        watchers: list[LiveWatcher] = []
         if self.ros is not None:
             publisher = RosPublisher(f"{self.ros}/{name}" if name else self.ros)
             stack.callback(publisher.close)
             watchers.append(publisher)
         if sheet is not None:
             watchers.append(LivePage(sheet, self.pictures_hz, self.snapshots / name, name))
-        own = replace(self, camera=camera)
+        own, lines = replace(self, camera=camera), _Lines(name)
+        watchers.insert(0, lines)
         return live_session(
             make_reader,
-            own.opener(self.paced),
+            own.opener(self.paced, lines.tell),
             watchers,
             background=rest,
             frames=self.frames,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,9 @@ class CameraReplay:
     noise_levels: float = 0.0
     """Standard deviation of read noise that is added, since a still repeats its own [levels]."""
     paced: bool = False
-    """Whether frames wait for their time, as a camera's do."""
+    """Whether frames wait for their time, as a camera's do; photos, which have none, never do."""
+    unread: Callable[[str], None] | None = None
+    """Listener for frames that cannot be read, which are then left out; without one they end it."""
 
 
 class ReplayCamera:
@@ -72,13 +74,16 @@ class ReplayCamera:
 
     def read(self) -> Shot | None:
         """The next frame at its own time; None at the end. Raises InputError for a frame that
-        cannot be read."""
-        frame = next(self._frames, None)
-        if frame is None:
-            return None
-        image = frame.image
-        if isinstance(image, InputError):
-            raise image
+        cannot be read where nobody is told of it."""
+        for frame in self._frames:
+            if not isinstance(frame.image, InputError):
+                return self._shot(frame, frame.image)
+            if self._how.unread is None:
+                raise frame.image
+            self._how.unread(str(frame.image))
+        return None
+
+    def _shot(self, frame: RecordedFrame, image: np.ndarray) -> Shot:
         due = self._due_s = self._next_s(frame)
         if self._how.paced:
             time.sleep(max(0.0, self._started + due - time.monotonic()))
@@ -122,7 +127,9 @@ def open_replay(
         return ReplayCamera(
             path, lambda: (RecordedFrame("", i) for i in pressing(still, presses, how)), how
         )
-    return ReplayCamera(path, Recording.of(path, camera).frames, how)
+    recording = Recording.of(path, camera)
+    how = replace(how, paced=how.paced and bool(recording.times_of))
+    return ReplayCamera(path, recording.frames, how)
 
 
 def pressing(

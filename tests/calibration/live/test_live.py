@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import re
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -20,9 +21,10 @@ from taccel_lab.api.read import read
 from taccel_lab.benchmarks.readings import networks, presses
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.live import page as live
+from taccel_lab.calibration.live.page import FIGURES_EVERY_S
 from taccel_lab.calibration.live.reader import LiveReader
-from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
-from taccel_lab.calibration.live.surface_view import surface_mesh
+from taccel_lab.calibration.live.run import Latency, LiveResult, live_session, run_together
+from taccel_lab.calibration.live.surface_view import LOADED_S, surface_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import NormalsBlock, SensorProfile
@@ -310,6 +312,25 @@ def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
     np.testing.assert_allclose(flat * (1, 1, 5) - (7, 0, 0), points_mm, rtol=1e-6, atol=1e-9)
     _, grey = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=True)
     assert len(grey) < len(glb)
+
+
+@pytest.mark.thorough
+def test_the_last_frame_is_shown_whatever_the_rate(tmp_path: Path) -> None:
+    """Two frames at once: figures and 3D are those of the second, and its surface alone is seen."""
+    pytest.importorskip("viser", reason="the extra view is not installed")
+    reader, unit = reader_of(), grey_unit()
+    with live_page("Live", PageOptions(port=0, browser=False)) as server:
+        sheet = live.LiveSheet(server)
+        page = live.LivePage(sheet, 1.0, tmp_path)
+        sheet._view.value = "3D"
+        shown = [reader.read(image) for image in (unit.pressed, unit.rest)]
+        for reading in shown:
+            page.show(reading, reader, Latency())
+        time.sleep(FIGURES_EVERY_S + 2 * LOADED_S)
+        last = shown[-1].reading
+        assert last is not None and last.words[0] in str(page._figures.content)
+        assert sheet._surfaces._shown[""] is last
+        assert [handle.visible for handle in sheet._surfaces._handles.values()] == [False, True]
 
 
 @pytest.mark.thorough
