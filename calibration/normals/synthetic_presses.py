@@ -28,7 +28,8 @@ from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.processes.ahead import ahead
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_in_view
-from taccel_lab.reading.features import blurred, color_change, image_features
+from taccel_lab.reading.features import color_change, image_features
+from taccel_lab.reading.windows import blurred
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 

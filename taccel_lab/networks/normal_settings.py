@@ -132,12 +132,12 @@ class NormalModelConfig(NetworkSettings):
                 f"{len(self.presses_px)} numbers"
             )
 
-    def away(self, every: int = 1) -> np.ndarray:
-        """Distance of each pixel from the part of the image that fitted contacts span, in shorter
-        sides of it, shape [h, w] of every n-th row and column; 0 where none is known."""
+    def away(self, block_px: int = 1) -> np.ndarray:
+        """Distance of each pixel, or of the middle of each block of some, from the part of the image
+        that fitted contacts span, in shorter sides of it, shape [h, w]; 0 where none is known."""
         spans = []
         for axis, count in enumerate((self.width_px, self.height_px)):
-            at = np.arange(0, count, every)
+            at = np.arange(0, count, block_px) + 0.5 * (block_px - 1)
             if self.presses_px:
                 middle, radius = np.reshape(self.presses_px, (-1, 3))[:, [axis, 2]].T
                 low, high = (middle - radius).min(), (middle + radius).max()

@@ -3,10 +3,11 @@
 
 A network reads a block of pixels as it reads a pixel: by the mean of their features, which are
 linear in the colours. Where the surface goes on smoothly, that and a line between the middles of
-blocks lose next to nothing, at a sixteenth of the work; noise is averaged before a network bends it
-instead of after. So every image is read in blocks of 4 x 4 pixels first, and in smaller ones, down
-to the pixel, where the slopes that were read bend, where colours vary inside a block, and beside
-masked pixels. Slow sinking beside a contact is read as all else.
+blocks lose next to nothing, at a sixty-fourth of the work; noise is averaged before a network bends
+it instead of after. So every image is read in blocks of 8 x 8 pixels first, and in smaller ones,
+down to the pixel, where the slopes that were read bend, where colours vary inside a block, and
+beside masked pixels. Only the part of the image that holds such places is looked at again. Slow
+sinking beside a contact is read as all else.
 
 Both limits rise with what a quarter of the image stays below, which is noise: there is nothing to
 be seen in it.
@@ -20,17 +21,21 @@ is asked for once, also by readers that are made anew for every image.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.reading.features import LEVELS_PER_UNIT, FeatureWindows, extended
+from taccel_lab.reading.features import LEVELS_PER_UNIT, Blocks, FeatureWindows
+from taccel_lab.reading.windows import halved
 
 if TYPE_CHECKING:
     import torch
 
-HALVINGS = 2
-"""Halvings from pixels to the largest blocks, of 4 x 4 of them."""
+LARGEST_PX = 8
+"""Pixels along the largest blocks."""
+FINEST_CELL_PX = 2
+"""Cells of colours that fine texture is looked for in: a lens shows none that is finer."""
 BEND = 0.035
 """Second difference of the slope between neighbouring blocks from which on smaller ones are read.
 Presses of three sensors (RVSATHU, FOTS, Taxim) are then read as by all pixels to 0.003 mm."""
@@ -43,94 +48,155 @@ MOST_NOISE = 2.0
 """but no more than this multiple of what they are without noise: a press may fill an image."""
 QUIET = 0.25
 
-Answer = Callable[[int, FeatureWindows, "torch.Tensor | None"], "torch.Tensor"]
+Answer = Callable[[Blocks, "torch.Tensor | None"], "torch.Tensor"]
 """What is read, shape [value, n], of blocks counted along images, rows and columns (all when None):
-two tilts [rad] first. The number is that of halvings from pixels."""
+two tilts [rad] first."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What is read of a part of the images, by blocks."""
+
+    block_px: int
+    rows: slice
+    columns: slice
+    """Which of the images' blocks these are."""
+    values: torch.Tensor
+    """Shape [value, image, h, w]."""
+
+    @property
+    def pixels(self) -> tuple[slice, slice]:
+        """Rows and columns of pixels; the last block's may lie beyond the image."""
+        size = self.block_px
+        rows, columns = self.rows, self.columns
+        return (
+            slice(rows.start * size, rows.stop * size),
+            slice(columns.start * size, columns.stop * size),
+        )
 
 
 def read_in_blocks(
-    pixels: FeatureWindows,
+    windows: FeatureWindows,
     answer: Answer,
     slopes: Callable[[torch.Tensor], torch.Tensor],
-    narrowest: slice,
-    mask: torch.Tensor | None = None,
-) -> torch.Tensor:
-    """What is read of every pixel, shape [value, image, h, w].
+    around: torch.Tensor | None = None,
+) -> list[Patch]:
+    """Readings of images by blocks: of whole images by the largest ones, then of parts of them by
+    ones half as wide as before, each inside the one before.
 
     Args:
-        pixels: Windows of the images, by pixels.
+        windows: Windows of the images.
         answer: Reads blocks.
         slopes: Of tilts, both of shape [2, image, h, w].
-        narrowest: The channels of ``pixels.averages`` that show most of the texture, free of most
-            noise.
-        mask: Pixels that count, bool, shape [h, w]; what stands in the others means nothing.
+        around: Largest blocks that smaller ones may be read in, bool, shape [h, w]; all when None.
     """
-    import torch
-
-    levels = [pixels]
-    for _ in range(HALVINGS):
-        levels.append(levels[-1].halved())
-    colors = [level.averages[narrowest] for level in levels]
-    found = answer(HALVINGS, levels[-1], None).unflatten(1, levels[-1].shape)
-    kept = _kept(pixels, mask)
-    finer = torch.ones_like(found[0], dtype=torch.bool)
-    limit = None
-    for k in range(HALVINGS, 0, -1):
-        bend = _bend(slopes(found[:2]))
+    blocks = windows.blocks(LARGEST_PX)
+    found = answer(blocks, None).unflatten(1, blocks.shape)
+    patches = [Patch(LARGEST_PX, blocks.rows, blocks.columns, found)]
+    if around is not None and not bool(around.any()):
+        return patches
+    uneven = _uneven(windows)
+    flags, limit = around, None
+    while patches[-1].block_px > 1:
+        patch = patches[-1]
+        part = (..., patch.rows, patch.columns)
+        bend = _bend(slopes(patch.values[:2]))
         limit = _limit(bend, BEND) if limit is None else limit
-        texture = _texture(colors[0], colors[k], 2**k)
-        uneven = texture > _limit(texture, TEXTURE_LEVELS / LEVELS_PER_UNIT)
+        masked = _any_masked(windows, patch.block_px)
         # Lines from a block's middle reach into those beside it.
-        beside = _widened((bend > limit) | _any(~kept, 2**k, bend.shape))
-        level = levels[k - 1]
-        finer = doubled(finer & (beside | uneven), level.shape)
-        found = doubled(found, level.shape)
-        chosen = finer & _any(kept, 2 ** (k - 1), level.shape)
-        picked = chosen.flatten().nonzero()[:, 0]
-        if len(picked):
-            found.flatten(1)[:, picked] = answer(k - 1, level, picked)
-    return found
+        beside = _widened(bend > limit if masked is None else (bend > limit) | masked[part])
+        beside |= uneven[patch.block_px][part]
+        flags = beside if flags is None else beside & flags
+        finer = _finer(windows, answer, patch, flags)
+        if finer is None:
+            break
+        patch, flags = finer
+        patches.append(patch)
+    return patches
 
 
-def doubled(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
-    """Maps, shape [..., image, h, w], of blocks half as wide: flags as they are, values along lines
-    through the middles of blocks; ``shape`` is (image, h, w) of those."""
+def _finer(
+    windows: FeatureWindows, answer: Answer, patch: Patch, flags: torch.Tensor
+) -> tuple[Patch, torch.Tensor] | None:
+    """The part of a patch around its flags [image, h, w], by blocks half as wide, and the flags of
+    these; None without a flag. Those that are not flagged lie on lines between the patch's."""
+    size = patch.block_px // 2
+    spans, inner, parts = [], [], []
+    for axis, (span, count) in enumerate(
+        zip((patch.rows, patch.columns), windows.count(size), strict=True)
+    ):
+        others = (0, 2 - axis)
+        at = flags.any(dim=others[0]).any(dim=others[1] - 1).nonzero()[:, 0]
+        if not len(at):
+            return None
+        # With a block beside the flags, and one more that lines go to.
+        first, last = int(at[0]) - 1, int(at[-1]) + 2
+        wide = slice(max(first - 1, 0), min(last + 1, span.stop - span.start))
+        first, last = max(first, 0), min(last, span.stop - span.start)
+        spans.append(slice(2 * (span.start + first), min(2 * (span.start + last), count)))
+        inner.append(
+            slice(
+                2 * (first - wide.start),
+                2 * (first - wide.start) + spans[-1].stop - spans[-1].start,
+            )
+        )
+        parts.append((wide, slice(first, last)))
+    rows, columns = spans
+    wide = patch.values[..., parts[0][0], parts[1][0]]
+    found = enlarged(wide, 2)[..., inner[0], inner[1]].contiguous()
+    flags = flags[..., parts[0][1], parts[1][1]]
+    flags = flags.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
+    flags = flags[..., : rows.stop - rows.start, : columns.stop - columns.start]
+    picked = flags
+    if windows.mask is not None:
+        picked = flags & _any_kept(windows, size)[..., rows, columns]
+    picked = picked.flatten().nonzero()[:, 0]
+    if len(picked):
+        blocks = windows.blocks(size, rows, columns)
+        found.flatten(1)[:, picked] = answer(blocks, picked)
+    return Patch(size, rows, columns, found), flags
+
+
+def painted(patches: Sequence[Patch], shape: tuple[int, int]) -> torch.Tensor:
+    """What is read of every pixel, along lines between the middles of the finest blocks there are,
+    shape [value, image, h, w]; ``shape``: rows and columns of the images."""
+    whole = enlarged(patches[0].values, patches[0].block_px)[..., : shape[0], : shape[1]]
+    for patch in patches[1:]:
+        rows, columns = patch.pixels
+        part = whole[..., rows, columns]
+        part.copy_(enlarged(patch.values, patch.block_px)[..., : part.shape[-2], : part.shape[-1]])
+    return whole
+
+
+def enlarged(values: torch.Tensor, times: int) -> torch.Tensor:
+    """Maps, shape [..., h, w], of blocks ``times`` times smaller, along lines through the middles
+    of blocks."""
     import torch
 
-    if values.dtype == torch.bool:
-        found = values.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
-    else:
-        found = _between(values.reshape(-1, *values.shape[-3:]), 2)
-        found = found.reshape(*values.shape[:-3], *found.shape[-3:])
-    return found[..., : shape[-2], : shape[-1]].contiguous()
-
-
-def _between(values: torch.Tensor, times: int) -> torch.Tensor:
-    """Maps, shape [n, image, h, w], of blocks ``times`` times smaller."""
-    import torch
-
-    lines = extended(extended(values, -1), -2)
+    if times == 1:
+        return values
+    lines = extended(extended(values.reshape(1, -1, *values.shape[-2:]), -1), -2)
     found = torch.nn.functional.interpolate(lines, scale_factor=times, mode="bilinear")
-    return found[..., times:-times, times:-times]
+    found = found[..., times:-times, times:-times]
+    return found.reshape(*values.shape[:-2], *found.shape[-2:])
 
 
-def _kept(pixels: FeatureWindows, mask: torch.Tensor | None) -> torch.Tensor:
-    """Pixels that count, filled up to whole largest blocks with others, bool, shape [1, h, w]."""
+def _any_masked(windows: FeatureWindows, block_px: int) -> torch.Tensor | None:
+    """Blocks in which a pixel is masked, bool, shape [1, h, w]; None where none is."""
+    return None if windows.mask is None else _any(~windows.mask, block_px)
+
+
+def _any_kept(windows: FeatureWindows, block_px: int) -> torch.Tensor:
+    assert windows.mask is not None
+    return _any(windows.mask, block_px)
+
+
+def _any(flags: torch.Tensor, block_px: int) -> torch.Tensor:
+    """Blocks in which a flag [h, w] is set, shape [1, h, w]."""
     import torch
 
-    _, height, width = pixels.shape
-    size = 2**HALVINGS
-    kept = pixels.averages.new_ones((1, height, width)) if mask is None else mask.float()[None]
-    return torch.nn.functional.pad(kept, (0, -width % size, 0, -height % size)) > 0
-
-
-def _any(flags: torch.Tensor, times: int, shape: Sequence[int]) -> torch.Tensor:
-    """Blocks, ``times`` pixels wide, in which a flag [1, height_px, width_px] is set, [1, h, w] of
-    ``shape``."""
-    import torch
-
-    blocks = torch.nn.functional.max_pool2d(flags.float(), times) > 0
-    return blocks[:, : shape[-2], : shape[-1]]
+    pool = torch.nn.functional.max_pool2d
+    return pool(flags.float()[None], block_px, ceil_mode=True) > 0
 
 
 def _bend(slopes: torch.Tensor) -> torch.Tensor:
@@ -144,15 +210,28 @@ def _bend(slopes: torch.Tensor) -> torch.Tensor:
     return torch.maximum(along, down).amax(dim=0)
 
 
-def _texture(fine: torch.Tensor, coarse: torch.Tensor, times: int) -> torch.Tensor:
-    """Root mean square over each block of what its pixels' colours [3, image, h, w] differ by from
-    a line between blocks, shape [image, h, w] of ``coarse``."""
-    import torch
-
-    height, width = fine.shape[-2:]
-    off = fine - _between(coarse, times)[..., :height, :width]
-    pool = torch.nn.functional.avg_pool2d
-    return pool(off.square().mean(dim=0), times, ceil_mode=True).sqrt()
+def _uneven(windows: FeatureWindows) -> dict[int, torch.Tensor]:
+    """Blocks of each size whose colours vary inside them, bool, shape [image, h, w]; of those that
+    are no larger than the finest cells, all that lie in larger ones."""
+    found: dict[int, torch.Tensor] = {}
+    energy, size = None, FINEST_CELL_PX
+    while size < LARGEST_PX:
+        fine, coarse = windows.colors(size), windows.colors(2 * size)
+        off = fine - enlarged(coarse, 2)[..., : fine.shape[-2], : fine.shape[-1]]
+        if windows.mask is not None:
+            off = off * windows.cover(size)
+        own = halved(halved(off.square_().mean(dim=0), -2), -1)
+        energy = own if energy is None else own + halved(halved(energy, -2), -1)
+        size *= 2
+        texture = energy.sqrt()
+        found[size] = texture > _limit(texture, TEXTURE_LEVELS / LEVELS_PER_UNIT)
+    inside = found[2 * FINEST_CELL_PX]
+    while size > 2:
+        size = FINEST_CELL_PX
+        height, width = windows.count(size)
+        inside = inside.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
+        found[size] = inside[..., :height, :width]
+    return found
 
 
 def _limit(values: torch.Tensor, least: float) -> torch.Tensor:
@@ -169,14 +248,25 @@ def _widened(flags: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.max_pool2d(flags.float()[None], 3, stride=1, padding=1)[0] > 0
 
 
+def extended(values: torch.Tensor, axis: int) -> torch.Tensor:
+    """Values with one more at either end of an axis, on the line through the two at that end."""
+    import torch
+
+    last = values.shape[axis] - 1
+    ends = [
+        2 * values.narrow(axis, end, 1) - values.narrow(axis, inner, 1)
+        for end, inner in ((0, min(1, last)), (last, max(last - 1, 0)))
+    ]
+    return torch.cat([ends[0], values, ends[1]], dim=axis)
+
+
 class TiltsAtRest:
     """What the members of a model give for unchanged places, each asked for once."""
 
-    def __init__(self, config: NormalModelConfig, halvings: int, device: str) -> None:
+    def __init__(self, config: NormalModelConfig, block_px: int, device: str) -> None:
         import torch
 
-        size = 2**halvings
-        count = -(-config.height_px // size) * -(-config.width_px // size)
+        count = -(-config.height_px // block_px) * -(-config.width_px // block_px)
         self._tilts = torch.zeros((config.members, count, 2), device=device)
         self._asked = torch.zeros(count, dtype=torch.bool, device=device)
 
@@ -195,10 +285,10 @@ class TiltsAtRest:
         return self._tilts.index_select(1, places)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def tilts_at_rest(
-    config: NormalModelConfig, weights_sha256: bytes, device: str
-) -> tuple[TiltsAtRest, ...]:
-    """Tilts at rest of a model, by pixels and by blocks, kept from one reader of a profile to the
-    next."""
-    return tuple(TiltsAtRest(config, halvings, device) for halvings in range(HALVINGS + 1))
+    config: NormalModelConfig, weights_sha256: bytes, block_px: int, device: str
+) -> TiltsAtRest:
+    """Tilts at rest of a model by blocks of so many pixels, kept from one reader of a profile to
+    the next."""
+    return TiltsAtRest(config, block_px, device)

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.slope_integration import border_of, height_from_slopes, plane_of
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.spread_operator import Plane, SpreadOperator, spread_operator
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
 
     from taccel_lab.reading.light import LightDrift
 
-COARSE_PX = 48
-"""Pixels of the shorter side of the maps that errors by the light are integrated on: they are
-smooth."""
 PROBE_LEVELS = 2.0
 """Change of colour that slopes are found for; small beside what they are linear in."""
 LOOKS_PER_LENGTH = 4.0
@@ -133,7 +131,7 @@ class LightErrors:
         """
         from taccel_lab.reading.light import LightDrift
 
-        self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
+        self.every = every = LARGEST_PX
         self._part = np.s_[::every, ::every]
         self._size = background.shape[1::-1]
         self._level = background.reshape(-1, 3).mean(axis=0)
@@ -150,7 +148,7 @@ class LightErrors:
                 image = background.astype(np.float32)
                 image[..., channel] += probe * term[..., channel]
                 read = model.predict(
-                    image, background, mask=mask, rest_normals=rest_normals, every=every
+                    image, background, mask=mask, rest_normals=rest_normals, coarse=True
                 )
                 slopes[channel, k] = (read.slopes() + rest) / probe
         weights = None if mask is None else mask[self._part].astype(float)

@@ -7,85 +7,23 @@ how that average varies across the wider of them. The features scale with the pi
 picture has the same features at scales zoomed as much, and the same normals. Training on several
 zooms therefore shows balls of other sizes than the one that was pressed, and keeps a model from
 learning that single ball's curvature by heart.
-
-Gaussian averages of pictures on any device.
-
-A window is a band matrix, the same for every stretch of an axis, so that a picture is averaged by
-few products of small matrices: a convolution of torch takes six times as long on a CPU, and a
-library of the CPU's alone would ask for a second implementation on a GPU.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import encode_position
+from taccel_lab.reading.windows import axis_window, cell_of, halved
 from taccel_lab.signals.tensors import Array, as_given, tensor_of
 
 if TYPE_CHECKING:
     import torch
-
-STRETCH_PX = 32
-"""Pixels of an axis that one product gives: of 16 to 80, the fastest for windows of 0.7 to 9 px."""
-CUT_SIGMAS = 3.0
-"""A window ends here."""
-
-
-def gaussian_average(values: torch.Tensor, sigma_px: float) -> torch.Tensor:
-    """Gaussian average of pictures, float, shape [..., h, w]; mirrored at the border's pixels."""
-    # Products along rows need no copy of the overlapping stretches; along columns they would.
-    across = _along_rows(values.transpose(-1, -2), sigma_px)
-    return _along_rows(across.transpose(-1, -2), sigma_px)
-
-
-def blurred(values: np.ndarray, sigma_px: float) -> np.ndarray:
-    """``gaussian_average`` of a picture, shape [h, w] or [h, w, channel]."""
-    channels = tensor_of(values)[None] if values.ndim == 2 else tensor_of(values).movedim(-1, 0)
-    found = gaussian_average(channels, sigma_px)
-    return (found[0] if values.ndim == 2 else found.movedim(0, -1)).numpy()
-
-
-def _along_rows(values: torch.Tensor, sigma_px: float) -> torch.Tensor:
-    """Average along the last axis but one, shape [..., n, m]."""
-    count = values.shape[-2]
-    reach = math.ceil(CUT_SIGMAS * sigma_px)
-    stretches = -(-count // STRETCH_PX)
-    band = tensor_of(_band(sigma_px, reach), values.dtype, values)
-    place = tensor_of(_mirrored(count, reach, stretches * STRETCH_PX - count), like=values)
-    padded = values.contiguous().index_select(-2, place)
-    parts = padded.unfold(-2, STRETCH_PX + 2 * reach, STRETCH_PX).transpose(-1, -2)
-    return (band @ parts).flatten(-3, -2)[..., :count, :]
-
-
-@lru_cache(maxsize=64)
-def _band(sigma_px: float, reach: int) -> np.ndarray:
-    """Weights of the pixels of a stretch and beside it, shape [stretch, stretch + 2 reach]."""
-    steps = np.arange(-reach, reach + 1)
-    # A window narrower than a pixel's rounding is that pixel.
-    weights = np.exp(-0.5 * (steps / max(sigma_px, 1e-3)) ** 2)
-    weights /= weights.sum()
-    band = np.zeros((STRETCH_PX, STRETCH_PX + 2 * reach))
-    for row in range(STRETCH_PX):
-        band[row, row : row + len(weights)] = weights
-    return band
-
-
-@lru_cache(maxsize=64)
-def _mirrored(count: int, reach: int, more: int) -> np.ndarray:
-    """Index of each pixel of an axis with ``reach`` more on both sides, and ``more`` at its end."""
-    steps = np.arange(-reach, count + reach + more)
-    if count == 1:
-        return np.zeros_like(steps)
-    steps %= 2 * (count - 1)
-    return np.minimum(steps, 2 * (count - 1) - steps)
-
 
 LEVELS_PER_UNIT = 32.0
 """Levels of 255 that make one unit of a feature."""
@@ -125,13 +63,16 @@ def local_features(
         picked: Pixels whose features are wanted, counted along rows, shape [n]; the result has
             shape [n, feature] then.
     """
-    windows = FeatureWindows.of(
-        tensor_of(change)[None], scales_px, slope_scales_px, zoom=zoom,
+    windows = FeatureWindows(
+        tensor_of(change)[None],
+        scales_px,
+        slope_scales_px,
+        lambda block_px: place_of_blocks(place, block_px),
         mask=None if mask is None else tensor_of(mask),
         background=None if background is None else tensor_of(background),
-        place=tensor_of(place),
-    )  # fmt: skip
-    found = windows.features(None if picked is None else tensor_of(picked)).T
+        zoom=zoom,
+    )
+    found = windows.blocks(1).features(None if picked is None else tensor_of(picked)).T
     shape = change.shape[:2] if picked is None else picked.shape
     return found.reshape(*shape, -1).contiguous().numpy()
 
@@ -164,154 +105,173 @@ def image_features(
 
 
 @dataclass(frozen=True)
-class FeatureWindows:
-    """Windows of the changes of one or several images, on pixels or on square blocks of them.
+class Blocks:
+    """Features of square blocks of pixels in a part of one or several images.
 
     Features are linear in the change, so that those of a block are the means of its pixels'. Blocks
-    at the right and lower border may be cut off there.
+    at the right and lower border of an image may be cut off there.
     """
 
     block_px: int
     """Pixels along a block."""
-    averages: torch.Tensor
-    """Averages of the change [units], shape [3 scale, image, h, w] in blocks."""
-    across: torch.Tensor
-    """Averages of the wider windows, by rows of blocks and columns of pixels, shape [3 scale,
-    image, h, width_px]."""
-    down: torch.Tensor
-    """Averages by rows of pixels and columns of blocks, shape [3 scale, image, height_px, w]."""
-    reach: torch.Tensor
-    """Pixels over which a variation is stated, shape [3 scale, 1]."""
+    rows: slice
+    columns: slice
+    """Which of the images' blocks these are."""
+    changing: torch.Tensor
+    """Averages of the change [units], then the wider windows' variation along columns and rows over
+    the window's width, for each scale, shape [3 scale + 6 slope scale, image, h, w]."""
     known: torch.Tensor
-    """What pixels know without the change: background and place, shape [n, h, w]."""
-
-    @classmethod
-    def of(
-        cls,
-        change: torch.Tensor,
-        scales_px: Sequence[float],
-        slope_scales_px: Sequence[float],
-        *,
-        place: torch.Tensor,
-        mask: torch.Tensor | None = None,
-        background: torch.Tensor | None = None,
-        zoom: float = 1.0,
-    ) -> FeatureWindows:
-        """Windows of changes [levels] of shape [image, h, w, 3], by pixels; the rest as of
-        ``local_features``."""
-        import torch
-
-        cover: dict[float, torch.Tensor] = {}
-        units = change.movedim(-1, 0).float() / LEVELS_PER_UNIT
-        windows = {
-            scale: _average(units, scale * zoom, mask, cover)
-            for scale in {*scales_px, *slope_scales_px}
-        }
-        known = place.movedim(-1, 0)
-        if background is not None:
-            levels = background.movedim(-1, 0).float() / LEVELS_PER_UNIT
-            widest = max([*scales_px, *slope_scales_px])
-            known = torch.cat([_average(levels, widest, mask, {}), known])
-        averages = torch.cat([windows[scale] for scale in scales_px])
-        if tuple(slope_scales_px) == tuple(scales_px[len(scales_px) - len(slope_scales_px) :]):
-            varied = averages[len(averages) - 3 * len(slope_scales_px) :]
-        else:
-            varied = torch.cat([windows[scale] for scale in slope_scales_px])
-        return cls(
-            block_px=1,
-            averages=averages,
-            across=varied,
-            down=varied,
-            reach=units.new_tensor(slope_scales_px).repeat_interleave(3)[:, None] * zoom,
-            known=known,
-        )
+    """What they know without the change: background and place, shape [n, h, w]."""
 
     @property
     def shape(self) -> torch.Size:
         """Images, rows and columns of blocks."""
-        return self.averages.shape[1:]
-
-    def halved(self) -> FeatureWindows:
-        """Windows of blocks twice as wide."""
-        return replace(
-            self,
-            block_px=2 * self.block_px,
-            averages=halved(halved(self.averages, -1), -2),
-            across=halved(self.across, -2),
-            down=halved(self.down, -1),
-            known=halved(halved(self.known, -1), -2),
-        )
+        return self.changing.shape[1:]
 
     def features(self, picked: torch.Tensor | None = None) -> torch.Tensor:
         """Features of blocks, counted along images, rows and columns, shape [feature, n]; of all
         when None."""
         import torch
 
-        _, height, width = self.shape
+        changing, known = self.changing.flatten(1), self.known.flatten(1)
         if picked is None:
-            picked = torch.arange(self.averages[0].numel(), device=self.averages.device)
-        rows, columns = picked // width, picked % width
-        images, row = rows // height, rows % height
-        averages = self.averages.flatten(1).index_select(1, picked)
-        parts = [averages, self.known.flatten(1).index_select(1, row * width + columns)]
-        if len(self.across):
-            wide, high = self.across.shape[-1], self.down.shape[-2]
-            row_start, column_start = rows * wide, images * (high * width) + columns
-            du = self._variation(self.across, lambda u: row_start + u, columns, wide)
-            dv = self._variation(self.down, lambda v: column_start + v * width, row, high)
-            both = torch.stack([du.unflatten(0, (-1, 3)), dv.unflatten(0, (-1, 3))], dim=1)
-            parts.insert(1, both.flatten(0, 2))
-        return torch.cat(parts)
+            return torch.cat([changing, known.repeat(1, self.shape[0])])
+        place = picked % known.shape[1]
+        return torch.cat([changing.index_select(1, picked), known.index_select(1, place)])
 
-    def _variation(
+
+class FeatureWindows:
+    """Windows of the changes of one or several images, for blocks of any size."""
+
+    def __init__(
         self,
-        lines: torch.Tensor,
-        place: Callable[[torch.Tensor], torch.Tensor],
-        block: torch.Tensor,
-        count: int,
-    ) -> torch.Tensor:
-        """Mean over each block of half the difference of the pixels beside a pixel; of a block's
-        inner ones nothing is left of it. ``place`` of a pixel of a line of ``count``."""
-        flat, size = lines.flatten(1), self.block_px
-        first = block * size
-        last = (first + size - 1).clamp(max=count - 1)
+        change: torch.Tensor,
+        scales_px: Sequence[float],
+        slope_scales_px: Sequence[float],
+        place: Callable[[int], torch.Tensor],
+        *,
+        mask: torch.Tensor | None = None,
+        background: torch.Tensor | None = None,
+        zoom: float = 1.0,
+    ) -> None:
+        """Windows of changes [levels] of shape [image, h, w, 3]; ``place`` tells what blocks of so
+        many pixels know of theirs, shape [n, h, w]; the rest as of ``local_features``."""
+        self.mask = None if mask is None or bool(mask.all()) else mask
+        kept = None if self.mask is None else self.mask[..., None]
+        units = change.float() / LEVELS_PER_UNIT
+        self._units = units if kept is None else units.where(kept, 0.0)
+        self._scales = tuple(scale * zoom for scale in scales_px)
+        self._slopes = tuple(scale * zoom for scale in slope_scales_px)
+        self._place, self._under = place, None
+        if background is not None:
+            widest = max([*scales_px, *slope_scales_px])
+            self._under = FeatureWindows(background[None], (widest,), (), place, mask=self.mask)
+        self._cells: dict[int, torch.Tensor] = {}
+        self._kept: dict[int, torch.Tensor] = {}
 
-        def at(pixel: torch.Tensor) -> torch.Tensor:
-            return flat.index_select(1, place(pixel.clamp(0, count - 1)))
+    def count(self, block_px: int) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        _, height, width, _ = self._units.shape
+        return -(-height // block_px), -(-width // block_px)
 
-        start, end = at(first), at(last)
-        # Beside the border a line goes on as between the last two pixels.
-        before = at(first - 1).where(first > 0, 2 * start - at(first + 1))
-        after = at(last + 1).where(last < count - 1, 2 * end - at(last - 1))
-        rise = after - before
-        if size > 1:
-            rise += end - start
-        return rise * (self.reach / (2 * size))
+    def cells(self, cell_px: int) -> torch.Tensor:
+        """Mean changes [units] of cells of so many pixels, a power of 2, masked ones as 0, shape
+        [3, image, h, w]."""
+        if cell_px not in self._cells:
+            if cell_px == 1:
+                found = self._units.movedim(-1, 0)
+            elif cell_px == 2:
+                found = halved(halved(self._units, 1), 2).movedim(-1, 0).contiguous()
+            else:
+                found = halved(halved(self.cells(cell_px // 2), -2), -1)
+            self._cells[cell_px] = found
+        return self._cells[cell_px]
+
+    def colors(self, cell_px: int) -> torch.Tensor:
+        """The same of what counts in each cell; 0 where nothing does."""
+        found = self.cells(cell_px)
+        return found if self.mask is None else found / self.cover(cell_px).clamp(min=MIN_COVER)
+
+    def cover(self, cell_px: int) -> torch.Tensor:
+        """Part of each cell that counts, shape [h, w]."""
+        assert self.mask is not None
+        if cell_px not in self._kept:
+            found = self.mask.float()
+            if cell_px > 1:
+                found = halved(halved(self.cover(cell_px // 2), -2), -1)
+            self._kept[cell_px] = found
+        return self._kept[cell_px]
+
+    def blocks(
+        self, block_px: int, rows: slice | None = None, columns: slice | None = None
+    ) -> Blocks:
+        """Blocks of so many pixels, a power of 2, in these rows and columns of them; all when
+        None."""
+        import torch
+
+        height, width = self.count(block_px)
+        rows, columns = rows or slice(0, height), columns or slice(0, width)
+        means: dict[float, torch.Tensor] = {}
+        variations = []
+        for scale in self._slopes:
+            means[scale], along = self._windowed(scale, block_px, rows, columns, varied=True)
+            variations.append(along)
+        for scale in self._scales:
+            if scale not in means:
+                means[scale], _ = self._windowed(scale, block_px, rows, columns)
+        known = self._place(block_px)[:, rows, columns]
+        if self._under is not None:
+            known = torch.cat([self._under.blocks(block_px, rows, columns).changing[:, 0], known])
+        changing = torch.cat([*(means[scale] for scale in self._scales), *variations])
+        return Blocks(block_px, rows, columns, changing, known)
+
+    def _windowed(
+        self, scale: float, block_px: int, rows: slice, columns: slice, *, varied: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Averages in one window, shape [3, image, h, w], and, where asked for, their variation
+        over it along columns and rows, shape [6, image, h, w]."""
+        import torch
+
+        cell_px = cell_of(scale, block_px)
+        values, cover = self.cells(cell_px), None if self.mask is None else self.cover(cell_px)
+        _, height, width, _ = self._units.shape
+        down, across = (
+            axis_window(
+                count, scale, block_px, (part.start, part.stop), cover is not None, values.device
+            )
+            for count, part in ((height, rows), (width, columns))
+        )
+        values = values[..., down.cells, across.cells]
+        if cover is not None:
+            cover = cover[down.cells, across.cells]
+
+        shares = (
+            (None, None) if cover is None else (cover @ across.means.T, cover @ across.borders.T)
+        )
+        mean_u, border_u = values @ across.means.T, values @ across.borders.T if varied else None
+
+        def at(left: torch.Tensor, right: torch.Tensor, cover: torch.Tensor | None) -> torch.Tensor:
+            found = left @ right
+            if cover is None:
+                return found
+            share = left @ cover
+            return torch.where(share > MIN_COVER, found / share.clamp(min=MIN_COVER), 0.0)
+
+        mean = at(down.means, mean_u, shares[0])
+        if border_u is None:
+            return mean, mean[:0]
+        along_u = at(down.means, border_u, shares[1]).diff(dim=-1) * (scale / across.sizes)
+        along_v = at(down.borders, mean_u, shares[0]).diff(dim=-2) * (scale / down.sizes)[:, None]
+        return mean, torch.cat([along_u, along_v])
 
 
-def halved(values: torch.Tensor, axis: int) -> torch.Tensor:
-    """Means of two neighbours along an axis; one that is left over at its end stays."""
-    import torch
-
-    lines = values.transpose(axis, -1)
-    even, odd = lines[..., ::2], lines[..., 1::2]
-    count = odd.shape[-1]
-    found = torch.add(even[..., :count], odd).mul_(0.5)
-    if even.shape[-1] > count:
-        found = torch.cat([found, even[..., count:]], dim=-1)
-    return found.transpose(axis, -1)
-
-
-def extended(values: torch.Tensor, axis: int) -> torch.Tensor:
-    """Values with one more at either end of an axis, on the line through the two at that end."""
-    import torch
-
-    last = values.shape[axis] - 1
-    ends = [
-        2 * values.narrow(axis, end, 1) - values.narrow(axis, inner, 1)
-        for end, inner in ((0, min(1, last)), (last, max(last - 1, 0)))
-    ]
-    return torch.cat([ends[0], values, ends[1]], dim=axis)
+def place_of_blocks(place: Any, block_px: int) -> torch.Tensor:
+    """Mean of what pixels know of their place, shape [h, w, n], over blocks of so many pixels, a
+    power of 2, shape [n, h, w]."""
+    found = tensor_of(place).movedim(-1, 0)
+    while block_px > 1:
+        found, block_px = halved(halved(found, -2), -1), block_px // 2
+    return found
 
 
 def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:
@@ -323,25 +283,3 @@ def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.nd
     if not position_bands:
         return uv
     return np.concatenate([uv, encode_position(uv, position_bands)], axis=-1, dtype=np.float32)
-
-
-def _average(
-    values: torch.Tensor,
-    sigma_px: float,
-    mask: torch.Tensor | None,
-    cover: dict[float, torch.Tensor],
-) -> torch.Tensor:
-    """Gaussian average over the unmasked pixels, shape [..., h, w]; 0 where a window holds next to
-    none."""
-    import torch
-
-    if mask is None or bool(mask.all()):
-        return values if sigma_px <= 0 else gaussian_average(values, sigma_px)
-    weight = mask.to(values.dtype)
-    if sigma_px <= 0:
-        return values * weight
-    if sigma_px not in cover:
-        cover[sigma_px] = gaussian_average(weight, sigma_px)
-    share = cover[sigma_px]
-    total = gaussian_average(torch.where(mask, values, 0.0), sigma_px)
-    return torch.where(share > MIN_COVER, total / share.clamp(min=MIN_COVER), 0.0)

@@ -12,9 +12,12 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.deviations import HeightUncertainty
-from taccel_lab.reading.slope_integration import resting_height
+from taccel_lab.reading.features import place_of_blocks
+from taccel_lab.reading.slope_integration import height_from_slopes, plane_of, with_detail
 from taccel_lab.reading.slopes import NormalMap, NormalModel
+from taccel_lab.reading.windows import halved
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 
 BAND_SIGMAS = 2.0
 """Standard deviations within which 95 % of the heights lie."""
+CELL_PX = 4
+"""Pixels along the cells that heights of whole images are integrated by."""
 FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0
@@ -56,7 +61,8 @@ def read_heights(
     rest_normals: np.ndarray | None = None,
     left_out: int | None = None,
     uncertainty: bool = True,
-    every: int = 1,
+    around: np.ndarray | None = None,
+    coarse: bool = False,
 ) -> ReadHeights[Array]:
     """Read an image, or several at once, on the model's device.
 
@@ -70,8 +76,10 @@ def read_heights(
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
         uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
-        every: Only every n-th row and column is read, as in the whole image, and integrated:
-            the maps are those of ``grid.thinned(every)``.
+        around: Blocks that smaller ones may be read in (``NormalModel.predict``), and that heights
+            are integrated pixel by pixel in.
+        coarse: Whether blocks of ``LARGEST_PX`` pixels are all that is read and integrated; the
+            maps are of these, on ``grid.thinned(LARGEST_PX)``.
     """
     import torch
 
@@ -79,24 +87,26 @@ def read_heights(
         # Sums and products round by how much there is at once, which saves no time here.
         of = partial(
             read_heights, mask=mask, rest_normals=rest_normals, left_out=left_out,
-            uncertainty=uncertainty, every=every,
+            uncertainty=uncertainty, around=around, coarse=coarse,
         )  # fmt: skip
         return _stacked([of(model, each, background, grid) for each in image])
     found = model.predict(
         torch.as_tensor(image, device=model.device),
-        background, mask=mask, rest_normals=rest_normals, left_out=left_out, every=every,
+        background, mask=mask, rest_normals=rest_normals, left_out=left_out, around=around, coarse=coarse,
     )  # fmt: skip
-    part = np.s_[::every, ::every]
+    every = LARGEST_PX if coarse else 1
     grid = grid.thinned(every)
-    mask = None if mask is None else mask[part]
-    weights = None if mask is None else mask.astype(float)
-    zero = resting_border(found, mask)
+    mask = None if mask is None else of_blocks(mask, every) > 0.5
     slope = found.slopes()
     if rest_normals is not None:
         # The change of height from rest is integrated: on a curved gel the rest is known already.
-        rest = tensor_of(rest_normals[part], like=slope)
+        rest = tensor_of(of_blocks(rest_normals, every), like=slope)
         slope = slope + rest[..., :2] / rest[..., 2:]
-    rise = resting_height(slope, grid, weights=weights, zero=zero)
+    step = 1 if coarse else CELL_PX
+    zero = resting_border(found, mask, step)
+    rise = risen(slope, grid, zero, mask, step, None if coarse else _span(around))
+    zero = zero.repeat_interleave(step, dim=-1).repeat_interleave(step, dim=-2)
+    zero = zero[..., : grid.height_px, : grid.width_px]
     read = ReadHeights(
         found.like(image),
         as_given(slope, image),
@@ -106,6 +116,84 @@ def read_heights(
         None,
     )
     return with_deviations(read, model.config, grid, mask, every) if uncertainty else read
+
+
+def risen(
+    slope: torch.Tensor,
+    grid: PixelGrid,
+    zero: torch.Tensor,
+    mask: np.ndarray | None,
+    cell_px: int,
+    span: tuple[slice, slice] | None,
+) -> torch.Tensor:
+    """Rise [m] of slopes, float64, shape [..., h, w]: integrated over the image by cells, and in a
+    part of it by pixels.
+
+    In what remains slopes are linear across several cells.
+
+    Args:
+        slope: From rest, shape [..., h, w, 2].
+        grid: Pixel grid of the slopes.
+        zero: Cells at rest, bool, shape [..., cells, cells].
+        mask: Pixels that count, bool, shape [h, w]; all when None.
+        cell_px: Pixels along a cell.
+        span: Rows and columns of cells that are integrated by pixels; all when None.
+    """
+    import torch
+
+    kept = None if mask is None else tensor_of(mask, torch.float64, slope)[..., None]
+    slopes = slope.double() if kept is None else slope.double().where(kept > 0, 0.0)
+    means, cover = _cell_means(slopes, cell_px), None
+    if kept is not None:
+        cover = _cell_means(kept, cell_px)
+        means = means / cover.clamp(min=1e-3)
+    weights = None if cover is None else cover[..., 0].clamp(max=1.0)
+    found = height_from_slopes(means, grid.thinned(cell_px), weights=weights, zero=zero)
+    tilted = plane_of(found, zero)
+    if cell_px == 1:
+        return found - tilted
+    whole = enlarged(found, cell_px)[..., : grid.height_px, : grid.width_px].contiguous()
+    tilted = enlarged(tilted, cell_px)[..., : grid.height_px, : grid.width_px]
+    rows, columns = span or (slice(0, found.shape[-2]), slice(0, found.shape[-1]))
+    inside = [
+        slice(part.start * cell_px, min(part.stop * cell_px, count))
+        for part, count in ((rows, grid.height_px), (columns, grid.width_px))
+    ]
+    if min(part.stop - part.start for part in inside) < 2:
+        return whole - tilted
+    part = slopes[..., inside[0], inside[1], :]
+    small = grid.resized(*(each.stop - each.start for each in reversed(inside)))
+    small = replace(small, mm_per_px_x=grid.mm_per_px_x, mm_per_px_y=grid.mm_per_px_y)
+    trust = None if kept is None else kept[inside[0], inside[1], 0]
+    before = whole[..., inside[0], inside[1]]
+    before.copy_(with_detail(before, part, small, trust))
+    return whole - tilted
+
+
+def _span(around: np.ndarray | None) -> tuple[slice, slice] | None:
+    """Rows and columns of cells that hold all of these blocks; none of none."""
+    if around is None:
+        return None
+    spans = []
+    for axis in (1, 0):
+        at = np.flatnonzero(around.any(axis=axis)) * (LARGEST_PX // CELL_PX)
+        end = min(at[-1] + LARGEST_PX // CELL_PX, 1 << 30) if len(at) else 0
+        spans.append(slice(int(at[0]) if len(at) else 0, int(end)))
+    return spans[0], spans[1]
+
+
+def _cell_means(values: torch.Tensor, cell_px: int) -> torch.Tensor:
+    """Means over cells of a power of 2 of pixels, of maps [..., h, w, n]."""
+    while cell_px > 1:
+        values, cell_px = halved(halved(values, -3), -2), cell_px // 2
+    return values
+
+
+def of_blocks(values: np.ndarray, block_px: int) -> np.ndarray:
+    """Means of a map, shape [h, w] or [h, w, n], over blocks of so many pixels."""
+    whole = values if values.ndim == 3 else values[..., None]
+    found = place_of_blocks(whole.astype(np.float32), block_px).movedim(0, -1).numpy()
+    return found if values.ndim == 3 else found[..., 0]
 
 
 def _stacked(parts: Sequence[Any]) -> Any:
@@ -153,18 +241,25 @@ def with_deviations(
     return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))
 
 
-def resting_border(found: NormalMap[torch.Tensor], mask: np.ndarray | None = None) -> torch.Tensor:
-    """Border pixels that are flat, bool, shape [..., h, w]; the whole border where next to none
-    are."""
+def resting_border(
+    found: NormalMap[torch.Tensor], mask: np.ndarray | None = None, cell_px: int = 1
+) -> torch.Tensor:
+    """Cells of the border that are flat in their middle, bool, shape [..., h, w]; the whole border
+    where next to none are."""
     import torch
 
-    tilt_deg = torch.rad2deg(length2(found.tilt_rad))
-    flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg).clamp(min=FLAT_DEG)
-    rows, columns = tilt_deg.shape[-2:]
+    middles = (..., slice(cell_px // 2, None, cell_px), slice(cell_px // 2, None, cell_px))
+    count = [-(-size // cell_px) for size in found.sigma_deg.shape[-2:]]
+    tilt_deg = torch.rad2deg(length2(found.tilt_rad[(*middles, slice(None))]))
+    flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg[middles]).clamp(min=FLAT_DEG)
+    if mask is not None:
+        flat &= tensor_of(mask, like=flat)[middles]
+    # The middle of a cell that the image cuts off may lie beyond it.
+    more = [0, count[1] - flat.shape[-1], 0, count[0] - flat.shape[-2]]
+    flat = torch.nn.functional.pad(flat, more)
+    rows, columns = count
     depth = max(2, min(rows, columns) // 20)
     flat[..., depth:-depth, depth:-depth] = False
-    if mask is not None:
-        flat &= tensor_of(mask, like=flat)
     border = torch.ones_like(flat)
     border[..., 1:-1, 1:-1] = False
     enough = flat.sum(dim=(-2, -1), keepdim=True) > 0.2 * (rows + columns)

@@ -17,6 +17,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
@@ -25,7 +26,7 @@ from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.stage_clock import StageClock
-from taccel_lab.reading.touch import touch_of
+from taccel_lab.reading.touch import likely_touched, touch_of
 from taccel_lab.reading.whose import light_of_background
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normals import normals_from_height
@@ -34,6 +35,8 @@ from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 Method = Literal["auto", "normals", "depth"]
 GUESSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
+AROUND_BLOCKS = 2
+"""Blocks beside those that may be touched that are read pixel by pixel, too: rims bend."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,9 @@ class LitImage:
     """Its own light against the untouched sensor's."""
     still: LightDrift
     """The same if nothing touches: a contact takes part of a gradient of the light."""
+    around: np.ndarray | None = None
+    """Blocks (``blocks``) that a coarse look takes for touched, with those beside them, bool, which
+    are read pixel by pixel; None for all."""
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
 
@@ -202,33 +208,35 @@ class Reader:
             steady = frame.still.remove(frame.levels) / common.factor[..., None]
             even, remark = frame.with_levels(frame.still.apply(steady)), common.remark
 
-        def shown(light: LightDrift) -> LitImage:
+        def shown(light: LightDrift, around: np.ndarray | None = None) -> LitImage:
             levels = light.on(self._day).removed(even.levels)
-            return LitImage(frame, levels, light, even.still, remark)
+            return LitImage(frame, levels, light, even.still, around, remark)
 
         first = shown(even.still)
         self.clock.begin("touch")
-        if not self._is_dented(first):
-            return first
+        dented, around = self._look(first)
+        if not dented:
+            return replace(first, around=around)
         self.clock.begin("light")
-        return shown(even.pressed)
+        return shown(even.pressed, around)
 
     def in_own_light(self, levels: np.ndarray) -> np.ndarray:
         """An image in the profile's light as the untouched sensor's own light shows it."""
         return self._day.apply(levels)
 
-    def _is_dented(self, lit: LitImage) -> bool:
-        """Whether a coarse look at an image shows a contact."""
+    def _look(self, lit: LitImage) -> tuple[bool, np.ndarray | None]:
+        """Whether a coarse look at an image shows a contact, and the blocks where one may be
+        (``LitImage.around``)."""
         if self.response is not None:
             rise_m = self.response.read(lit.levels, self.background, lit.mask).height_m
-            return touch_of(rise_m, None, self.grid).any
-        every = self._light_errors.every
-        found = self._heights(lit, every=every)
+            return touch_of(rise_m, None, self.grid).any, None
+        found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
-            (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, every)
+            (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, LARGEST_PX)
             sigma_m = together(sigma_m, light_m)
-        return touch_of(found.rise_m, sigma_m, self.grid.thinned(every)).any
+        dented = touch_of(found.rise_m, sigma_m, self.grid.thinned(LARGEST_PX)).any
+        return dented, likely_touched(found.rise_m, sigma_m, AROUND_BLOCKS)
 
     def surface(self, lit: LitImage, name: str = "image") -> Reading:
         """The surface under an image of ``lit``, without the pressure that holds it."""
@@ -261,7 +269,9 @@ class Reader:
             saturated=found.saturated,
         )  # fmt: skip
 
-    def _heights(self, lit: LitImage, *, every: int = 1, uncertainty: bool = True) -> ReadHeights:
+    def _heights(
+        self, lit: LitImage, *, coarse: bool = False, uncertainty: bool = True
+    ) -> ReadHeights:
         assert self.normal_model is not None
         return read_heights(
             self.normal_model,
@@ -270,8 +280,9 @@ class Reader:
             self.grid,
             mask=lit.mask,
             rest_normals=self._rest_normals,
+            around=lit.around,
             uncertainty=uncertainty,
-            every=every,
+            coarse=coarse,
         )
 
     def _by_normals(self, lit: LitImage, name: str) -> Reading:

@@ -82,26 +82,56 @@ def height_from_slopes(
             f"zero has shape {tuple(counted.shape)} with {int(counts.min())} pixels; {shape} wanted"
         )
     steps = (grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3)
-    edges = (
+    height = _solved(_on_edges(along_x, along_y), steps, trust, tolerance)
+    mean = map_totals(height * counted) / counts
+    return as_given(height - mean, slope)
+
+
+def with_detail(
+    height: torch.Tensor, slope: torch.Tensor, grid: PixelGrid, weights: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Heights [m], shape [..., height_px, width_px], that are right in the large, of a part of an
+    image, with what slopes there say that they leave out: it is solved for by itself, is 0 on
+    average along the part's border, and fades within a few pixels of where it arises. Arguments
+    as of ``height_from_slopes``."""
+    steps = (grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3)
+    along_x, along_y = _on_edges(slope[..., 0], slope[..., 1])
+    left = (along_x - height.diff(dim=-1) / steps[0], along_y - height.diff(dim=-2) / steps[1])
+    detail = _solved(left, steps, weights, RELATIVE_TOLERANCE)
+    border = border_of((grid.height_px, grid.width_px), detail)
+    return height + detail - map_totals(detail * border) / border.sum()
+
+
+def _on_edges(along_x: torch.Tensor, along_y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Slopes along the edges between pixels, [..., h, w - 1] and [..., h - 1, w]."""
+    return (
         0.5 * (along_x[..., 1:] + along_x[..., :-1]),
         0.5 * (along_y[..., 1:, :] + along_y[..., :-1, :]),
     )
+
+
+def _solved(
+    edges: tuple[torch.Tensor, torch.Tensor],
+    steps_m: tuple[float, float],
+    trust: torch.Tensor | None,
+    tolerance: float,
+) -> torch.Tensor:
+    """Heights [m] of slopes along edges, of any mean; ``trust``: weights of pixels, [h, w]."""
+    import torch
+
     if trust is None or bool((trust == 1.0).all()):
-        height = solve_poisson(_divergence(edges, steps), steps)
-    else:
-        least = (
-            torch.minimum(trust[:, 1:], trust[:, :-1]),
-            torch.minimum(trust[1:], trust[:-1]),
-        )
-        edge_weights = tuple(w.clamp(min=MIN_WEIGHT) for w in least)
-        # Beside a masked pixel only the slope of the other one is known; its own was set to 0.
-        flows = tuple(
-            torch.where(low > 0, weight * slope, 0.0)
-            for low, weight, slope in zip(least, edge_weights, edges, strict=True)
-        )
-        height = _solve_weighted(_divergence(flows, steps), edge_weights, steps, tolerance)
-    mean = map_totals(height * counted) / counts
-    return as_given(height - mean, slope)
+        return solve_poisson(_divergence(edges, steps_m), steps_m)
+    least = (
+        torch.minimum(trust[:, 1:], trust[:, :-1]),
+        torch.minimum(trust[1:], trust[:-1]),
+    )
+    edge_weights = tuple(w.clamp(min=MIN_WEIGHT) for w in least)
+    # Beside a masked pixel only the slope of the other one is known; its own was set to 0.
+    flows = tuple(
+        torch.where(low > 0, weight * slope, 0.0)
+        for low, weight, slope in zip(least, edge_weights, edges, strict=True)
+    )
+    return _solve_weighted(_divergence(flows, steps_m), edge_weights, steps_m, tolerance)
 
 
 def border_of(shape: tuple[int, int], like: torch.Tensor) -> torch.Tensor:

@@ -18,16 +18,22 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import checked_weights
-from taccel_lab.reading.blocks import TiltsAtRest, read_in_blocks, tilts_at_rest
-from taccel_lab.reading.features import FeatureWindows, color_change, pixel_place
+from taccel_lab.reading.blocks import LARGEST_PX, painted, read_in_blocks, tilts_at_rest
+from taccel_lab.reading.features import (
+    Blocks,
+    FeatureWindows,
+    color_change,
+    pixel_place,
+    place_of_blocks,
+)
 from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.tensors import (
     Array,
@@ -145,10 +151,11 @@ class NormalModel:
         mask: np.ndarray | None = None,
         rest_normals: np.ndarray | None = None,
         left_out: int | None = None,
-        every: int = 1,
+        around: np.ndarray | None = None,
+        coarse: bool = False,
     ) -> NormalMap[Array]:
         """Normals of whole images: by blocks of pixels where the surface is smooth, and by pixels
-        where it is not (``block_reading``).
+        where it is not (``blocks``).
 
         Args:
             image: RGB levels, shape [..., height_px, width_px, 3]; several images are read at once.
@@ -161,8 +168,10 @@ class NormalModel:
             left_out: The member that did not see this press when the others did. It reads alone,
                 and its own error is no part of what it expects: how far it is off the others would
                 tell it, as nothing does on a new press.
-            every: Only every n-th row and column is read, pixel by pixel, as in the whole
-                image; the maps are of these.
+            around: Blocks of ``LARGEST_PX`` pixels that smaller ones may be read in, bool, shape
+                [ceil(h / LARGEST_PX), ceil(w / LARGEST_PX)]; all when None.
+            coarse: Whether blocks of ``LARGEST_PX`` pixels are all that is read; the maps are of
+                these.
         """
         import torch
 
@@ -175,22 +184,20 @@ class NormalModel:
             images = tensor_of(image, like=on).reshape(-1, *shape)
             light = tensor_of(background, torch.float32, on)
             kept = None if mask is None else tensor_of(mask, like=on)
-            pixels = self._windows(color_change(images, light, kept), light, kept)
+            windows = self._windows(color_change(images, light, kept), light, kept)
 
-            def answer(halvings: int, level: FeatureWindows, picked: torch.Tensor | None) -> Any:
-                return self._answer(halvings, level, picked, left_out)
+            def answer(blocks: Blocks, picked: torch.Tensor | None) -> torch.Tensor:
+                return self._answer(blocks, picked, left_out)
 
-            if every == 1:
-                narrowest = min(range(len(self.config.scales_px)), key=self._width)
-                channels = slice(3 * narrowest, 3 * narrowest + 3)
-                read = read_in_blocks(pixels, answer, _lean_slopes, channels, kept)
-            else:
-                whole = torch.arange(pixels.averages[0].numel(), device=self.device)
-                thin = whole.view(pixels.shape)[:, ::every, ::every]
-                read = answer(0, pixels, thin.flatten()).unflatten(1, thin.shape)
+            near = None if around is None else tensor_of(around, like=on)
+            if coarse:
+                near = torch.zeros(windows.count(LARGEST_PX), dtype=torch.bool)
+            patches = read_in_blocks(windows, answer, _lean_slopes, near)
+            read = patches[0].values if coarse else painted(patches, shape[:2])
             tilt, error = read[:2].movedim(0, -1), read[2]
-            if kept is not None:
-                tilt = tilt.where(kept[::every, ::every, None], 0.0)
+            if windows.mask is not None:
+                held = windows.cover(LARGEST_PX) > 0 if coarse else windows.mask
+                tilt = tilt.where(held[..., None], 0.0)
             lead = image.shape[:-3]
             tilt, error = (
                 tilt.reshape(*lead, *tilt.shape[1:]),
@@ -198,64 +205,61 @@ class NormalModel:
             )
             normals = relative_normals(tilt)
             if rest_normals is not None:
-                rest = tensor_of(rest_normals[::every, ::every], tilt.dtype, on)
-                normals = rotate_from_z(normals, rest)
+                rest = place_of_blocks(rest_normals, LARGEST_PX if coarse else 1).movedim(0, -1)
+                normals = rotate_from_z(normals, tensor_of(rest, tilt.dtype, on))
             sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
             if self.config.presses_px:
-                away = tensor_of(self.config.away(every), sigma_deg.dtype, on)
+                away = self.config.away(LARGEST_PX if coarse else 1)
+                away = tensor_of(away, sigma_deg.dtype, on)
                 lean_deg = torch.rad2deg(length2(tilt)).to(sigma_deg.dtype)
                 sigma_deg = torch.hypot(sigma_deg, (away / AWAY) ** 2 * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
         return found.like(image)
 
-    def _width(self, scale: int) -> float:
-        """Width of a window, to sort them by; a single pixel, all of whose noise shows, comes
-        last."""
-        return self.config.scales_px[scale] or math.inf
-
     def _windows(
         self, change: torch.Tensor, background: torch.Tensor, mask: torch.Tensor | None
     ) -> FeatureWindows:
         config = self.config
-        place = tensor_of(
-            pixel_place(config.width_px, config.height_px, config.position_bands), like=change
-        )
-        return FeatureWindows.of(
+
+        def place(block_px: int) -> torch.Tensor:
+            return _place(
+                config.width_px, config.height_px, config.position_bands, block_px, change.device
+            )
+
+        return FeatureWindows(
             change,
             config.scales_px,
             config.slope_scales_px,
-            place=place,
+            place,
             mask=mask,
             background=background if config.background else None,
         )
 
     def _answer(
-        self,
-        halvings: int,
-        level: FeatureWindows,
-        picked: torch.Tensor | None,
-        left_out: int | None,
+        self, blocks: Blocks, picked: torch.Tensor | None, left_out: int | None
     ) -> torch.Tensor:
         """Tilt [rad] and expected angle of error [rad] of blocks, shape [3, n] (``Answer``)."""
         import torch
 
-        features = level.features(picked)
+        features = blocks.features(picked)
         if self.config.background:
             still = self._still(features)
         else:
-            _, height, width = level.shape
+            _, height, width = blocks.shape
             if picked is None:
                 picked = torch.arange(features.shape[1], device=features.device)
-            rest = self._tilts_at_rest[halvings]
-            still = rest.at(picked % (height * width), features, self._still)
+            row, column = (picked % (height * width)) // width, picked % width
+            columns = -(-self.config.width_px // blocks.block_px)
+            place = (blocks.rows.start + row) * columns + blocks.columns.start + column
+            at_rest = tilts_at_rest(self.config, self._digest, blocks.block_px, self.device)
+            still = at_rest.at(place, features, self._still)
         tilt, error = self._judged(self._outputs(features), still, left_out)
         return torch.cat([tilt.T, error[None]])
 
     @cached_property
-    def _tilts_at_rest(self) -> tuple[TiltsAtRest, ...]:
-        """Tilts at rest of the blocks of each number of halvings from pixels."""
-        digest = hashlib.sha256(b"".join(self.weights[name].tobytes() for name in self.weights))
-        return tilts_at_rest(self.config, digest.digest(), self.device)
+    def _digest(self) -> bytes:
+        weights = b"".join(self.weights[name].tobytes() for name in self.weights)
+        return hashlib.sha256(weights).digest()
 
     def _still(self, features: torch.Tensor) -> torch.Tensor:
         """What each member gives without a change, [member, n, 2], for features [feature, n]."""
@@ -318,6 +322,14 @@ def network(
             values = torch.nn.functional.silu(values)
         values = torch.baddbmm(bias[:, None, :], values, weight.transpose(1, 2))
     return values
+
+
+@lru_cache(maxsize=16)
+def _place(
+    width_px: int, height_px: int, bands: int, block_px: int, device: torch.device
+) -> torch.Tensor:
+    """Places of blocks (``pixel_place``), shape [n, h, w]."""
+    return place_of_blocks(pixel_place(width_px, height_px, bands), block_px).to(device)
 
 
 def expected_error(outputs: torch.Tensor) -> torch.Tensor:

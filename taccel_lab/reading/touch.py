@@ -68,3 +68,17 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
     pixels = touched[np.asarray(parts, dtype=int)]
     unseen_mm = float((np.maximum(depth_mm, 0.0) + BAND_SIGMAS * sigma_mm).max())
     return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM))
+
+
+def likely_touched(rise_m: np.ndarray, sigma_m: np.ndarray | None, beside: int) -> np.ndarray:
+    """Pixels of a coarse map that may be touched, or lie so many pixels beside one, bool, [h, w]:
+    half the depth that counts, since a small contact is averaged with its surroundings; arguments
+    as of ``touch_of``."""
+    import cv2
+
+    depth_m = -rise_m
+    least_m = np.full(depth_m.shape, 0.5e-3 * CONTACT_MM)
+    if sigma_m is not None:
+        least_m = np.maximum(least_m, BAND_SIGMAS * sigma_m)
+    size = 2 * beside + 1
+    return cv2.dilate((depth_m > least_m).astype(np.uint8), np.ones((size, size), np.uint8)) > 0
