@@ -393,23 +393,22 @@ def errors_of(
     """Errors of ``model`` on a press, ``read`` being what it reads there, where that is known; None
     where no pixel is compared."""
     compared = press.compared if scene.mask is None else press.compared & scene.mask
-    every = EVERY_PX if read is None else 1
-    part = np.s_[::every, ::every]
-    kept = compared[part]
+    kept = np.zeros_like(compared)
+    part = np.s_[::EVERY_PX, ::EVERY_PX]
+    kept[part] = compared[part]
     if not kept.any():
         return None
     read = read or read_heights(
         model, press.image, scene.background, scene.grid, mask=scene.mask,
-        rest_normals=scene.rest_normals, left_out=press.left_out, uncertainty=False, every=every,
+        rest_normals=scene.rest_normals, left_out=press.left_out, uncertainty=False,
     )  # fmt: skip
     found = read.normals
-    angle = angle_between_deg(relative_normals(found.tilt_rad[kept]), press.normals[part][kept])
+    angle = angle_between_deg(relative_normals(found.tilt_rad[kept]), press.normals[kept])
     if press.normals_sigma_deg is not None:
-        angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[part][kept])
+        angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[kept])
     sigmas = angle / found.sigma_deg[kept]
-    grid = scene.grid.thinned(every)
-    uncertain = [HeightUncertainty(grid, length / every) for length in LENGTHS_PX]
-    weights = None if scene.mask is None else scene.mask[part].astype(float)
+    uncertain = [HeightUncertainty(scene.grid, length) for length in LENGTHS_PX]
+    weights = None if scene.mask is None else scene.mask.astype(float)
     slope_sigma = found.slope_sigma()
     spreads = [each.sigma_m(slope_sigma, weights=weights, zero=read.zero) for each in uncertain]
     # Over any length alike: it is smooth, and the grid of the shortest is the finest.
@@ -417,7 +416,7 @@ def errors_of(
     return ReadingErrors(
         angle_sigmas=sigmas,
         height_m=_beyond(
-            np.abs(read.rise_m - press.rise_m[part])[kept],
+            np.abs(read.rise_m - press.rise_m)[kept],
             np.array(BAND_SIGMAS * press.rise_sigma_m),
         ),
         spreads_m=[np.maximum(spread[kept], LEAST_M) for spread in spreads],

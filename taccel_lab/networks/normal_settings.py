@@ -133,8 +133,8 @@ class NormalModelConfig(NetworkSettings):
             )
 
     def away(self, block_px: int = 1) -> np.ndarray:
-        """Distance of each pixel, or of the middle of each block of some, from the part of the image
-        that fitted contacts span, in shorter sides of it, shape [h, w]; 0 where none is known."""
+        """Distance of each pixel, or of the middle of each block of them, from the part of the
+        image that fitted contacts span, in its shorter sides, [h, w]; 0 where none is known."""
         spans = []
         for axis, count in enumerate((self.width_px, self.height_px)):
             at = np.arange(0, count, block_px) + 0.5 * (block_px - 1)

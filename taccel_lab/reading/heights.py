@@ -92,7 +92,8 @@ def read_heights(
         return _stacked([of(model, each, background, grid) for each in image])
     found = model.predict(
         torch.as_tensor(image, device=model.device),
-        background, mask=mask, rest_normals=rest_normals, left_out=left_out, around=around, coarse=coarse,
+        background, mask=mask, rest_normals=rest_normals, left_out=left_out, around=around,
+        coarse=coarse,
     )  # fmt: skip
     every = LARGEST_PX if coarse else 1
     grid = grid.thinned(every)

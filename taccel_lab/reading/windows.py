@@ -105,8 +105,7 @@ def _block_weights(
 @lru_cache(maxsize=16)
 def _between_cells(count: int, cell_px: int) -> np.ndarray:
     """Pixels of an axis from the means of cells, shape [count, cell]: the parabola of a cell's mean
-    and of those beside it (P. Colella and P. R. Woodward, J. Comput. Phys. 54, 1984, without limits).
-    """
+    and of those beside it (P. Colella and P. R. Woodward, J. Comput. Phys. 54, 1984)."""
     cells = -(-count // cell_px)
     found = np.zeros((count, cells))
     for cell in range(cells):
@@ -161,7 +160,7 @@ def halved(values: torch.Tensor, axis: int) -> torch.Tensor:
 
 
 def blurred(values: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Gaussian average of a picture, shape [h, w] or [h, w, channel], mirrored at its last pixels."""
+    """Gaussian average of a picture, [h, w] or [h, w, channel], mirrored at its last pixels."""
     rows, columns = (_pixel_weights(count, sigma_px) for count in values.shape[:2])
     planes = values[..., None] if values.ndim == 2 else values
     found = np.moveaxis(rows @ np.moveaxis(planes, -1, 0) @ columns.T, 0, -1)

@@ -111,5 +111,6 @@ def test_a_tilt_is_less_sure_away_from_the_contacts_that_were_fitted():
     assert away[30:71, 30:81].max() == 0.0
     assert away[50, 110] == pytest.approx(0.3)
     assert away[90, 110] == pytest.approx(np.hypot(0.2, 0.3))
-    assert np.array_equal(config.away(2), away[::2, ::2])
+    middles = (away[:, 1:] + away[:, :-1])[1:, ::2] + (away[:, 1:] + away[:, :-1])[:-1, ::2]
+    np.testing.assert_allclose(config.away(2), middles[::2] / 4, atol=2e-3)
     assert NormalModelConfig(200, 100).away().max() == 0.0
