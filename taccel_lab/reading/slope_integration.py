@@ -81,7 +81,7 @@ def height_from_slopes(
         raise InputError(
             f"zero has shape {tuple(counted.shape)} with {int(counts.min())} pixels; {shape} wanted"
         )
-    steps = (grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3)
+    steps = _steps_m(grid)
     height = _solved(_on_edges(along_x, along_y), steps, trust, tolerance)
     mean = map_totals(height * counted) / counts
     return as_given(height - mean, slope)
@@ -94,12 +94,16 @@ def with_detail(
     image, with what slopes there say that they leave out: it is solved for by itself, is 0 on
     average along the part's border, and fades within a few pixels of where it arises. Arguments
     as of ``height_from_slopes``."""
-    steps = (grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3)
+    steps = _steps_m(grid)
     along_x, along_y = _on_edges(slope[..., 0], slope[..., 1])
     left = (along_x - height.diff(dim=-1) / steps[0], along_y - height.diff(dim=-2) / steps[1])
     detail = _solved(left, steps, weights, RELATIVE_TOLERANCE)
     border = border_of((grid.height_px, grid.width_px), detail)
     return height + detail - map_totals(detail * border) / border.sum()
+
+
+def _steps_m(grid: PixelGrid) -> tuple[float, float]:
+    return grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3
 
 
 def _on_edges(along_x: torch.Tensor, along_y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

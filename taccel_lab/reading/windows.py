@@ -47,9 +47,9 @@ class AxisWindow:
     """One window along one axis: from cells to blocks."""
 
     means: torch.Tensor
-    """To averages over blocks, float32, shape [block, cell]."""
+    """Weights of cells in averages over blocks, float32, shape [block, cell]."""
     borders: torch.Tensor
-    """To values at the borders of blocks, both ends among them, shape [block + 1, cell]. Beyond an
+    """The same for values at the borders of blocks, both ends among them, [block + 1, cell]. Beyond an
     end of the axis a line goes on as between the last two pixels; where some pixels are masked, the
     value at an end is that of the last pixel."""
     cells: slice
