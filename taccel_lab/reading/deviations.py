@@ -27,6 +27,7 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.blocks import LARGEST_PX
+from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.slope_integration import border_of, height_from_slopes, plane_of
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.spread_operator import Plane, SpreadOperator, spread_operator
@@ -138,7 +139,7 @@ class LightErrors:
         terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
         rest = 0.0
         if rest_normals is not None:
-            thin = rest_normals[self._part]
+            thin = of_blocks(rest_normals, every)
             rest = thin[..., :2] / thin[..., 2:]
         thinned = grid.thinned(every)
         slopes = np.empty((3, 4, thinned.height_px, thinned.width_px, 2))
@@ -151,7 +152,7 @@ class LightErrors:
                     image, background, mask=mask, rest_normals=rest_normals, coarse=True
                 )
                 slopes[channel, k] = (read.slopes() + rest) / probe
-        weights = None if mask is None else mask[self._part].astype(float)
+        weights = None if mask is None else of_blocks(mask, every)
         self._heights = tensor_of(height_from_slopes(slopes, thinned, weights=weights))
         self._border = border_of((thinned.height_px, thinned.width_px), self._heights)
 

@@ -274,6 +274,13 @@ def place_of_blocks(place: Any, block_px: int) -> torch.Tensor:
     return found
 
 
+def of_blocks(values: np.ndarray, block_px: int) -> np.ndarray:
+    """Means of a map, shape [h, w] or [h, w, n], over blocks of so many pixels."""
+    whole = values if values.ndim == 3 else values[..., None]
+    found = place_of_blocks(whole.astype(np.float32), block_px).movedim(0, -1).numpy()
+    return found if values.ndim == 3 else found[..., 0]
+
+
 def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:
     """Normalised (u, v) of every pixel, -1 to 1 over the image, and their positional encoding;
     float32, shape [h, w, 2 + 4 * position_bands]."""

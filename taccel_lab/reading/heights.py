@@ -14,7 +14,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.deviations import HeightUncertainty
-from taccel_lab.reading.features import place_of_blocks
+from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.slope_integration import height_from_slopes, plane_of, with_detail
 from taccel_lab.reading.slopes import NormalMap, NormalModel
 from taccel_lab.reading.windows import halved
@@ -188,13 +188,6 @@ def _cell_means(values: torch.Tensor, cell_px: int) -> torch.Tensor:
     while cell_px > 1:
         values, cell_px = halved(halved(values, -3), -2), cell_px // 2
     return values
-
-
-def of_blocks(values: np.ndarray, block_px: int) -> np.ndarray:
-    """Means of a map, shape [h, w] or [h, w, n], over blocks of so many pixels."""
-    whole = values if values.ndim == 3 else values[..., None]
-    found = place_of_blocks(whole.astype(np.float32), block_px).movedim(0, -1).numpy()
-    return found if values.ndim == 3 else found[..., 0]
 
 
 def _stacked(parts: Sequence[Any]) -> Any:

@@ -49,7 +49,7 @@ class AxisWindow:
     means: torch.Tensor
     """Weights of cells in averages over blocks, float32, shape [block, cell]."""
     borders: torch.Tensor
-    """The same for values at the borders of blocks, both ends among them, [block + 1, cell]. Beyond an
+    """The same for values at borders of blocks, both ends among them, [block + 1, cell]. Beyond an
     end of the axis a line goes on as between the last two pixels; where some pixels are masked, the
     value at an end is that of the last pixel."""
     cells: slice
