@@ -20,10 +20,12 @@ from functools import cache
 import cv2
 import numpy as np
 
-from taccel_lab.reading.thumb import SmallImage
+from taccel_lab.reading.thumb import SmallImage, resized
 
 LEAST_LEVEL = 8.0
 """Levels below which a ratio is noise."""
+COLUMNS_TOGETHER = 4
+"""Columns of the small image whose mean stands for them."""
 GROUPS = 8
 """Groups of columns that bands have to be alike in."""
 CYCLES = np.arange(1.5, 16.0, 0.25)
@@ -80,8 +82,11 @@ class CommonGains:
         """``known``: the untouched image."""
         self._known, self._shape_px = known.levels, known.shape_px
         self._counted = None if known.share is None else (known.share > 0)[..., None]
-        self._sigma = max(min(self._known.shape[:2]) / 60, 1.0)
-        self._base = cv2.GaussianBlur(self._known, (0, 0), self._sigma)
+        height, width = self._known.shape[:2]
+        self._columns = max(GROUPS, width // COLUMNS_TOGETHER // GROUPS * GROUPS), height
+        self._half = max(1, width // 2), max(1, height // 2)
+        self._rows = self._logs(self._known)
+        self._base = self._blurred(self._known)
         own = self._base - self._base.mean(axis=(0, 1))
         self._one_colour = _one_factor(own, self._base)[1] > OWN_FACTOR
 
@@ -93,12 +98,20 @@ class CommonGains:
             levels = np.where(self._counted, levels, self._known)
         return self._bands(levels) or self._patch(levels)
 
+    def _logs(self, levels: np.ndarray) -> np.ndarray:
+        """Logarithms of means over columns that lie together."""
+        return np.log(np.maximum(resized(levels, self._columns), LEAST_LEVEL))
+
+    def _blurred(self, levels: np.ndarray) -> np.ndarray:
+        """Levels at half the size, without noise."""
+        small = resized(levels, self._half)
+        return cv2.GaussianBlur(small, (0, 0), max(min(small.shape[:2]) / 60, 0.5))
+
     def _bands(self, levels: np.ndarray) -> CommonGain | None:
         """A sine along the rows that most columns agree on, by least squares over its frequency."""
-        count, width = levels.shape[:2]
-        ratio = np.log(np.maximum(levels, LEAST_LEVEL) / np.maximum(self._known, LEAST_LEVEL))
-        ratio = ratio[:, : width - width % GROUPS].reshape(count, GROUPS, -1)
-        columns = _median(ratio).astype(np.float64)
+        count = len(levels)
+        ratio = self._logs(levels) - self._rows
+        columns = _median(ratio.reshape(count, GROUPS, -1)).astype(np.float64)
         common = _rest(_median(columns))
         whole = float(np.square(common).sum())
         if whole < count * LEAST_AMPLITUDE**2 / 2:
@@ -136,7 +149,7 @@ class CommonGains:
         """A factor that explains all change of a patch, of one sign."""
         if self._one_colour:
             return None
-        change = cv2.GaussianBlur(levels - self._known, (0, 0), self._sigma)
+        change = self._blurred(levels) - self._base
         size = np.sqrt(np.einsum("hwc,hwc->hw", change, change))
         patch = size > max(PATCH_LEVELS, PATCH_SHARE * float(size.max()))
         if not patch.any():
@@ -146,7 +159,7 @@ class CommonGains:
             return None
         share = _one_factor(change, self._base)[0]
         row, column = np.unravel_index(int(np.argmax(size)), size.shape)
-        scale = self._shape_px[0] / len(levels)
+        scale = self._shape_px[0] / len(size)
         most = float(share[row, column])
         factor = cv2.resize(1.0 + share, self._shape_px[::-1], interpolation=cv2.INTER_LINEAR)
         return CommonGain(

@@ -34,7 +34,7 @@ class FrameJudge:
         self._mask, self._dots = mask, DotMask.of(self.untouched)
         self.seams = Seams(self.untouched)
         self._rest = _Rest(self.untouched, self._counted(self.untouched))
-        self.pattern = Pattern(SmallImage.of(self.untouched, self._rest.mask, Pattern.LONGER_PX))
+        self.pattern = Pattern(self._rest.small)
 
     def frame(self, image: np.ndarray) -> JudgedFrame:
         """A frame of the untouched image's size, RGB levels."""
@@ -106,7 +106,7 @@ class JudgedFrame:
     def common(self) -> CommonGain | None:
         """A factor of all channels that is no touch."""
         small = self._small
-        return self._rest.gains.of(self.still.within(small).remove(small.levels))
+        return self._rest.gains.of(self.still.within(small).removed(small.levels))
 
     def fault(self) -> str:
         """Why it is not what the camera sees of the gel where it was, or nothing."""
@@ -142,5 +142,4 @@ class JudgedFrame:
     @cached_property
     def _shift(self) -> tuple[float, float] | None:
         gain = np.clip(self.still.gain, 0.25, 4.0)
-        small = SmallImage.of(self.levels, self.mask, Pattern.LONGER_PX)
-        return self._judge.pattern.shift(small, gain)
+        return self._judge.pattern.shift(self._small, gain)

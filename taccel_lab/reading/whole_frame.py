@@ -272,7 +272,7 @@ def _partial_seam(jump: np.ndarray) -> tuple[int, float]:
 def _wide_seam(jump: np.ndarray) -> int:
     """The row behind a seam over the whole width, of jumps over ``SMOOTH_ACROSS`` places; 0 without
     one."""
-    size = np.median(_lengths(jump), axis=1)
+    size = np.sort(_lengths(jump), axis=1)[:, jump.shape[1] // 2]
     if size.max() <= WIDE_LEVELS:
         return 0
     sharp = np.where(

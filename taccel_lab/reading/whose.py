@@ -89,7 +89,7 @@ def not_of(known: SmallImage, seen: SmallImage, light: LightDrift) -> str | None
                 CLEARLY * _off(exchange(seen.levels), known.levels, both), LEAST_LEVELS
             ):
                 return f"it fits the background {what}"
-    off = _off(light.within(seen).remove(seen.levels), known.levels, usable)
+    off = _off(light.within(seen).removed(seen.levels), known.levels, usable)
     if off > MOST_LEVELS:
         return (
             f"three quarters of its pixels differ from the background by more than {off:.0f} "
@@ -133,15 +133,12 @@ def pattern_shift(
     image: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
 ) -> tuple[float, float] | None:
     """``Pattern.shift`` of an image, RGB levels in the background's light, as that is."""
-    known, seen = (SmallImage.of(each, mask, Pattern.LONGER_PX) for each in (background, image))
+    known, seen = (SmallImage.of(each, mask) for each in (background, image))
     return Pattern(known).shift(seen)
 
 
 class Pattern:
     """What stands still of an untouched gel, and how far a frame has it moved."""
-
-    LONGER_PX = 320
-    """Longer side of the images that it is looked for in [px]."""
 
     def __init__(self, known: SmallImage) -> None:
         """``known``: the untouched image."""
