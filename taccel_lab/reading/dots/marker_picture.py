@@ -37,6 +37,7 @@ from taccel_lab.reading.dots.lattice import (
     renumbered,
 )
 from taccel_lab.reading.dots.lattice_growth import local_affine
+from taccel_lab.reading.thumb import resized
 
 MIN_DOTS = 9
 """Dots of a lattice that a picture has to show."""
@@ -193,6 +194,11 @@ def _why_not(dots: Dots | None) -> str:
 
 WINDOW_SHARE = 0.6
 """Window of the closing, as a part of the dots' pitch."""
+MOST_UNEVEN = 1.4
+"""Ratio of the upper to the lower quartile of the distances to the nearest spot: lattices of dots
+have 1.03 to 1.14, dirt and shades 1.6 to 6."""
+LEAST_WINDOW_PX = 9
+"""Width of the window, where a picture made small for it is fine enough."""
 DARKER = 0.15
 """Part of the light that a dot takes at least."""
 MARGIN_SHARE = 0.06
@@ -214,8 +220,7 @@ class DotMask:
         """The dots of an untouched picture, RGB levels, shape [height_px, width_px, 3]; None where
         it shows no lattice of dark ones."""
         coarse = min(untouched.shape[:2]) / COARSE_PARTS / WINDOW_SHARE
-        dark = _covered(untouched, coarse).astype(np.uint8)
-        if cv2.connectedComponents(dark)[0] <= MIN_DOTS:
+        if not _stand_evenly(_covered(untouched, coarse)):
             return None
         found = markers_or_none(np.clip(untouched, 0, 255).astype(np.uint8))
         if found is None:
@@ -229,11 +234,41 @@ class DotMask:
         return free if mask is None else free & mask
 
 
+def _stand_evenly(dark: np.ndarray) -> bool:
+    """Whether spots [height_px, width_px] of one size stand as far from each other as dots do:
+    dirt and shades, among which to look for a lattice takes seconds, do not."""
+    _, _, stats, middles = cv2.connectedComponentsWithStats(dark.astype(np.uint8))
+    area = stats[1:, cv2.CC_STAT_AREA]
+    if len(area) < MIN_DOTS:
+        return False
+    usual = np.median(area)
+    spots = middles[1:][(area > usual / 2) & (area < 2 * usual)]
+    if len(spots) < MIN_DOTS:
+        return False
+    apart = np.asarray(KDTree(spots).query(spots, 2)[0])[:, 1]
+    near, far = np.quantile(apart, [0.25, 0.75])
+    return bool(far <= MOST_UNEVEN * near)
+
+
 def _covered(image: np.ndarray, pitch_px: float) -> np.ndarray:
-    grey = np.clip(image, 0, 255).astype(np.float32).mean(axis=-1)
-    size = 2 * round(0.5 * WINDOW_SHARE * pitch_px) + 1
+    """Pixels that are darker than what lies around them, with a rim, bool, [height_px, width_px].
+
+    The light around dots is smooth: it is found on a picture whose window is ``LEAST_WINDOW_PX``
+    wide, and widened by a pixel there, so that no dot's rim is left out for it.
+    """
+    grey = cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32))
+    grey = np.clip(grey, 0, 255)
+    height, width = grey.shape
+    times = max(1, round(WINDOW_SHARE * pitch_px / LEAST_WINDOW_PX))
+    around = grey
+    if times > 1:
+        size = max(1, round(width / times)), max(1, round(height / times))
+        around = cv2.dilate(resized(grey, size), np.ones((3, 3), np.uint8))
+    size = 2 * round(0.5 * WINDOW_SHARE * pitch_px / times) + 1
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, window)
+    around = cv2.morphologyEx(around, cv2.MORPH_CLOSE, window)
+    if times > 1:
+        around = cv2.resize(around, (width, height), interpolation=cv2.INTER_LINEAR)
     dark = (around - grey > DARKER * np.maximum(around, 1.0)).astype(np.uint8)
     rim = 2 * max(1, round(MARGIN_SHARE * pitch_px)) + 1
     return cv2.dilate(dark, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (rim, rim))) > 0
