@@ -138,20 +138,38 @@ def press_in_view(
 
 
 class _Sinking:
-    """Sinking [mm] under a pressure, on a grid of one size."""
+    """Sinking [mm] under a pressure, on a grid of one size or on a part of one."""
 
     def __init__(
-        self, shape: tuple[int, ...], step_mm: tuple[float, float], layer: BondedLayer
+        self,
+        shape: tuple[int, ...],
+        step_mm: tuple[float, float],
+        layer: BondedLayer,
+        whole: tuple[int, ...] | None = None,
     ) -> None:
+        """``whole``: shape of the grid that ``shape`` is a part of."""
         self.rows, self.columns = shape
-        rows, columns = (
-            int(next_fast_len(count + int(2 * PADDING * layer.thickness_mm / step), real=True) or 0)
-            for count, step in zip(shape, step_mm[::-1], strict=True)
-        )
-        self.padded = rows, columns
+        rows, columns = self.padded = _padded(whole or shape, step_mm, layer)
         k_y = 2 * np.pi * np.fft.fftfreq(rows, step_mm[1])
         k_x = 2 * np.pi * np.fft.rfftfreq(columns, step_mm[0])
         compliance = layer.compliance_mm(np.hypot(k_y[:, None], k_x[None, :]))
+        if whole is not None:
+            # No two points of a part are farther apart than it is long.
+            self.padded = tuple(
+                min(of_whole, int(next_fast_len(2 * count - 1, real=True) or 0))
+                for of_whole, count in zip(self.padded, shape, strict=True)
+            )
+            kernel = np.fft.irfft2(compliance, (rows, columns))
+            for axis, (of_whole, count) in enumerate(
+                zip((rows, columns), self.padded, strict=True)
+            ):
+                if count < of_whole:
+                    away = np.arange(count)
+                    away = np.where(away < shape[axis], away, away - count)
+                    beyond = np.abs(away) >= shape[axis]
+                    kernel = np.take(kernel, away, axis=axis)
+                    kernel[(slice(None),) * axis + (beyond,)] = 0.0
+            compliance = np.fft.rfft2(kernel).real
         self.compliance = compliance.astype(np.float32)
 
     def __call__(self, pressure: np.ndarray) -> np.ndarray:
@@ -161,6 +179,16 @@ class _Sinking:
         waves *= self.compliance
         waves = np.asarray(ifft(waves, axis=0, overwrite_x=True))[: self.rows]
         return np.asarray(irfft(waves, columns, axis=1))[:, : self.columns]
+
+
+def _padded(
+    shape: tuple[int, ...], step_mm: tuple[float, float], layer: BondedLayer
+) -> tuple[int, ...]:
+    """Rows and columns of a grid with gel at rest on each side."""
+    return tuple(
+        int(next_fast_len(count + int(2 * PADDING * layer.thickness_mm / step), real=True) or 0)
+        for count, step in zip(shape, step_mm[::-1], strict=True)
+    )
 
 
 _sinking = lru_cache(maxsize=128)(_Sinking)
@@ -174,6 +202,7 @@ def pressure_under(
     tolerance_mm: float,
     start: np.ndarray | None = None,
     film_mm: float = 0.0,
+    whole: tuple[int, ...] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Contact pressure of a face that may not rise above ``gap_mm``, as of ``LayerPress``, and how
     far the face sinks under it.
@@ -186,6 +215,7 @@ def pressure_under(
         tolerance_mm: Largest penetration, and largest gap in the contact.
         start: A pressure near the answer, such as the last frame's, shape [h, w].
         film_mm: How far the tool itself gives way under a unit of this pressure.
+        whole: Shape of the grid that ``gap_mm`` is a part of, beside which there is no tool.
 
     Returns:
         Pressure times 2 (1 - nu^2) / E, at least 0, and the sinking [mm], float32, shape [h, w].
@@ -200,40 +230,58 @@ def pressure_under(
         rows, columns = (count - count % 2 for count in gap_mm.shape)
         blocks = gap_mm[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).min(axis=(1, 3))
         double = (2 * step_mm[0], 2 * step_mm[1])
-        coarse, _ = pressure_under(blocks, double, layer, tolerance_mm, film_mm=film_mm)
+        half = whole and tuple(count // 2 for count in whole)
+        coarse, _ = pressure_under(blocks, double, layer, tolerance_mm, film_mm=film_mm, whole=half)
         pressure = np.zeros_like(gap_mm)
         pressure[:rows, :columns] = coarse.repeat(2, axis=0).repeat(2, axis=1)
     else:
         pressure = np.maximum(-gap_mm, 0.0) / layer.thickness_mm
-    sinking = _sinking(gap_mm.shape, step_mm, layer)
+    sinking = _sinking(gap_mm.shape, step_mm, layer, whole)
     direction: np.ndarray = np.zeros_like(pressure)
     before, keep = 1.0, 0.0
     sunk = sinking(pressure)
+    # A start of the right shape may be too much or too little, and an end by its last error.
+    pressure, sunk = _levelled(pressure, sunk, gap_mm, film_mm)
     for _ in range(MAX_ITERATIONS):
         distance = sunk + film_mm * pressure + gap_mm
         touching = pressure > 0
-        worst = np.abs(distance[touching]).max(initial=0.0)
-        if max(worst, -distance.min()) < tolerance_mm:
+        left = distance * touching
+        if max(left.max(), -distance.min()) < tolerance_mm:
             break
-        now = float((distance[touching] ** 2).sum())
+        now = float(np.vdot(left, left))
         kept = keep * now / before if keep else 0.0
-        direction = np.where(touching, distance + kept * direction, 0.0)
+        direction = left + kept * (direction * touching) if kept else left
         before = now
         sinks = sinking(direction)
-        along = (sinks + film_mm * direction)[touching] @ direction[touching]
+        along = float(np.vdot(sinks + film_mm * direction, direction))
         if not along > 0:
             direction, keep = np.zeros_like(pressure), 0.0
             pressure = np.where(distance < 0, pressure - distance / step_mm[0], pressure)
             sunk = sinking(pressure)
             continue
-        length = float(distance[touching] @ direction[touching]) / along
+        length = float(np.vdot(left, direction)) / along
         further = pressure - length * direction
         pressure = np.maximum(further, 0.0)
         # Where the gel would stand in the tool without being pressed it is pressed from now on.
         missed = (pressure == 0) & (distance < 0)
-        pressure = np.where(missed, pressure - length * distance, pressure)
         keep = 0.0 if missed.any() else 1.0
+        if not keep:
+            pressure = np.where(missed, pressure - length * distance, pressure)
         # As far as pressures change along the direction alone, what sinks under them is known.
-        on_line = keep and not (further < 0).any()
+        on_line = keep and not further.min() < 0
         sunk = sunk - length * sinks if on_line else sinking(pressure)
-    return pressure, sunk
+    return _levelled(pressure, sunk, gap_mm, film_mm)
+
+
+def _levelled(
+    pressure: np.ndarray, sunk: np.ndarray, gap_mm: np.ndarray, film_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The multiple of a pressure and of how far the face sinks that misses the tool by nothing on
+    average, by pressure."""
+    pressed = pressure > 0
+    reached = float(np.vdot(pressure, sunk + film_mm * pressure))
+    wanted = -float(np.vdot(pressure[pressed], gap_mm[pressed]))
+    if not (reached > 0 and wanted > 0):
+        return pressure, sunk
+    much = np.float32(wanted / reached)
+    return much * pressure, much * sunk

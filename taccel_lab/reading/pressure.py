@@ -19,7 +19,7 @@ to touch, the force is 0, and its upper end is that of a ball as wide as the gel
 as deep as this image could hide. Friction between gel and tool is not seen; the layer's error holds
 for coefficients of 0 to 1.
 
-A gel that relaxes pushes back harder at first (``Overstress``). Of one image nobody knows how long
+A gel that relaxes pushes back harder at first (``overstress``). Of one image nobody knows how long
 it was held: the interval then reaches from the relaxed gel to a sudden press. A tool that goes back
 may push less than either. Frames whose times are known tell all of it.
 """
@@ -44,6 +44,8 @@ from taccel_lab.profile.assumed import (
 )
 from taccel_lab.profile.measured_range import poisson_interval
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, pressure_under
+from taccel_lab.reading.overstress import Overstress
+from taccel_lab.reading.spread_operator import resampling
 from taccel_lab.reading.touch import Touch
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.with_error import NORMAL_95
@@ -56,6 +58,14 @@ LEAST_STEPS = 64
 TOLERANCE = 1e-3
 """Largest gap in the contact, as a part of the deepest point. Forces of eleven presses of a
 GelSight are then within 0.06 % of those by a hundredth of it; by ten times as much within 0.7 %."""
+ENDS = 3.0
+"""Tolerances of the pressures that intervals end at."""
+PART = 8
+"""Points; parts of the grid begin and end at a multiple, so that many are of one size."""
+SEEN_SHARE = 1e-4
+"""Part of a point's pixels that counts as none."""
+BALL_STEP = 1.05
+"""Step of the depths [mm] that upper ends of what is not seen are known at."""
 LAYER_SHARE = 0.35
 """Standard deviation of the layer's force from that of finite elements, as a part of it, over depth
 by thickness. Balls, punch, box and roller in a GelSight Mini's gel with a coefficient of friction
@@ -164,6 +174,9 @@ class PressureReader:
         size = grid.width_px * pixel[0], grid.height_px * pixel[1]
         step = max(*pixel, min(gel.thickness_mm / STEPS_PER_THICKNESS, max(size) / LEAST_STEPS))
         self._coarse = grid.resized(*(max(2, round(side / step)) for side in size))
+        self._rows = resampling(grid.height_px, self._coarse.height_px)
+        self._columns = resampling(grid.width_px, self._coarse.width_px)
+        self._balls: dict[int, tuple[float, float]] = {}
         self._overstress: Overstress | None = None
         if material.branches:
             self._overstress = Overstress(
@@ -188,33 +201,38 @@ class PressureReader:
             time_s: When the frame was taken [s], for a gel that relaxes; None where it does not
                 follow the frame before.
         """
-        inside = self._small(touch.pixels.astype(np.float32)) > 0
+        whole = np.zeros((self._coarse.height_px, self._coarse.width_px))
         if not touch.any:
-            zero = np.zeros(inside.shape)
             sudden = 1.0
             if self._overstress is not None:
-                self._overstress.follow(zero, time_s)
+                self._overstress.follow(whole, time_s)
                 sudden += self._overstress.most
             most_n, most_mm2 = self._unseen(touch.unseen_mm)
-            return self._found(zero, (0.0, sudden * most_n), (0.0, most_mm2), ())
-        rise = self._small(1e3 * rise_m)
-        gap = np.where(inside, rise, FAR_MM)
+            return self._found(whole, (0.0, sudden * most_n), (0.0, most_mm2), ())
+        # Beside what is touched there is no tool, and no pressure.
+        part = tuple(
+            _around(np.asarray(touch.pixels.any(axis=axis)), matrix)
+            for axis, matrix in ((1, self._rows), (0, self._columns))
+        )
+        inside = self._small(touch.pixels, part) > SEEN_SHARE
+        gap = np.where(inside, 1e3 * self._small(rise_m, part), FAR_MM)
         # Never from another frame's pressure: how far a search gets depends on where it begins.
-        pressure, film = self._solved(gap, self.layer, None, 0.0), 0.0
+        pressure, film = self._solved(gap, self.layer), 0.0
         interval = areas = None
         if height_sigma_m is not None:
             alone_m = height_sigma_m if reading_sigma_m is None else reading_sigma_m
-            reading_mm = float(self._small(1e3 * alone_m)[inside].mean())
+            reading_mm = 1e3 * float(self._small(alone_m, part)[inside].mean())
             pressed = pressure[pressure > 0]
             if reading_mm > 0 and len(pressed):
                 film = reading_mm / float(pressed.mean())
                 pressure = self._solved(gap, self.layer, pressure, film)
-            sigma_mm = self._small(1e3 * height_sigma_m)
+            sigma_mm = 1e3 * self._small(height_sigma_m, part)
             interval, areas = self._intervals(pressure, gap, sigma_mm, film)
-        limits = self._limits(rise, pressure)
+        whole[part] = pressure
+        limits = self._limits(-float(gap.min()), whole)
         if self._overstress is None:
-            return self._found(pressure, interval, areas, limits)
-        total, interval, said = self._with_overstress(self._overstress, pressure, interval, time_s)
+            return self._found(whole, interval, areas, limits)
+        total, interval, said = self._with_overstress(self._overstress, whole, interval, time_s)
         return self._found(total, interval, areas, (*limits, *said))
 
     def _with_overstress(
@@ -253,9 +271,10 @@ class PressureReader:
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """95 % intervals of the force [N] and of the area [mm2]."""
         far = NORMAL_95 * sigma
-        shallow, deep = (
-            self._solved(gap + sign * far, self.layer, pressure, film) for sign in (1, -1)
-        )
+        shallow = self._solved(gap + far, self.layer, pressure, film, ENDS)
+        # As far on the other side, until it is known better.
+        start = np.maximum(2 * pressure - shallow, 0.0)
+        deep = self._solved(gap - far, self.layer, start, film, ENDS)
         area, less, more = (self._area_mm2(found) for found in (pressure, shallow, deep))
         seen = min(area, less), max(area, more)
         areas = _widened(area, seen, (self._scale,), (self._scale,))
@@ -264,7 +283,7 @@ class PressureReader:
         for ends in self._ends:
             # A modulus presses by E / (1 - nu^2).
             one, other = (
-                self._force_n(self._solved(gap, layer, pressure, film))
+                self._force_n(self._solved(gap, layer, pressure, film, ENDS))
                 / (1 - layer.poisson_ratio**2)
                 for layer in ends
             )
@@ -283,19 +302,42 @@ class PressureReader:
         """Upper ends of force [N] and area [mm2] of a contact that may be ``depth_mm`` deep and is
         not seen."""
         depth_mm = min(depth_mm, DEEPEST_SHARE * self.layer.thickness_mm)
-        coarse = self._coarse
-        x, y = coarse.x_mm() - coarse.x_mm().mean(), coarse.y_mm() - coarse.y_mm().mean()
-        ball = np.hypot(x[None, :], y[:, None]) ** 2 / (2 * self.layer.thickness_mm)
-        pressure = self._solved(ball - depth_mm, self.layer, None, 0.0)
-        force = self._force_n(pressure) * math.exp(math.hypot(*self._other_logs(depth_mm)[1]))
-        return force, self._area_mm2(pressure) * math.exp(self._scale)
+        # Powers of the depth between depths that a frame had to know before.
+        at = math.log(depth_mm) / math.log(BALL_STEP)
+        below = math.floor(at)
+        share = at - below
+        force, area = (
+            low ** (1 - share) * high**share
+            for low, high in zip(self._ball(below), self._ball(below + 1), strict=True)
+        )
+        force *= math.exp(math.hypot(*self._other_logs(depth_mm)[1]))
+        return force, area * math.exp(self._scale)
+
+    def _ball(self, power: int) -> tuple[float, float]:
+        """Force [N] and area [mm2] of a ball ``BALL_STEP`` to that power [mm] deep."""
+        if power not in self._balls:
+            coarse = self._coarse
+            x, y = coarse.x_mm() - coarse.x_mm().mean(), coarse.y_mm() - coarse.y_mm().mean()
+            ball = np.hypot(x[None, :], y[:, None]) ** 2 / (2 * self.layer.thickness_mm)
+            pressure = self._solved(ball - BALL_STEP**power, self.layer)
+            self._balls[power] = self._force_n(pressure), self._area_mm2(pressure)
+        return self._balls[power]
 
     def _solved(
-        self, gap: np.ndarray, layer: BondedLayer, start: np.ndarray | None, film: float
+        self,
+        gap: np.ndarray,
+        layer: BondedLayer,
+        start: np.ndarray | None = None,
+        film: float = 0.0,
+        tolerance: float = 1.0,
     ) -> np.ndarray:
-        step = self._coarse.mm_per_px_x, self._coarse.mm_per_px_y
-        tolerance = TOLERANCE * max(-float(gap.min()), 1e-3)
-        return pressure_under(gap, step, layer, tolerance, start, film)[0]
+        """Pressure under a tool of this gap, over a part of the grid; ``tolerance``: in that of
+        ``TOLERANCE``."""
+        coarse = self._coarse
+        step, whole = (coarse.mm_per_px_x, coarse.mm_per_px_y), (coarse.height_px, coarse.width_px)
+        allowed_mm = tolerance * TOLERANCE * max(-float(gap.min()), 1e-3)
+        part = None if gap.shape == whole else whole
+        return pressure_under(gap, step, layer, allowed_mm, start, film, part)[0]
 
     def _force_n(self, pressure: np.ndarray) -> float:
         area_m2 = 1e-6 * self._coarse.mm_per_px_x * self._coarse.mm_per_px_y
@@ -316,21 +358,23 @@ class PressureReader:
         areas: tuple[float, float] | None,
         limits: tuple[str, ...],
     ) -> ContactPressure:
-        import cv2
-
         coarse, grid = self._coarse, self.grid
         contact = self._contact(pressure)
         center = None
+        fine = np.zeros((grid.height_px, grid.width_px), dtype=np.float32)
         if contact.any():
-            rows, columns = np.indices(pressure.shape)
-            total = pressure.sum()
-            at = np.array([(columns * pressure).sum() / total, (rows * pressure).sum() / total])
+            import cv2
+
+            rows, columns = np.arange(coarse.height_px), np.arange(coarse.width_px)
+            by_row, by_column = pressure.sum(axis=1), pressure.sum(axis=0)
+            at = np.array([columns @ by_column, rows @ by_row]) / by_row.sum()
             x, y = coarse.gel_from_pixel(at)[:2]
             center = float(x), float(y)
-        size = (grid.width_px, grid.height_px)
-        fine = cv2.resize(pressure.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+            size = (grid.width_px, grid.height_px)
+            found_pa = (self.pa * pressure).astype(np.float32)
+            fine = cv2.resize(found_pa, size, interpolation=cv2.INTER_LINEAR)
         return ContactPressure(
-            pressure_pa=self.pa * fine,
+            pressure_pa=fine,
             force_n=self._force_n(pressure),
             force_interval_n=interval,
             area_mm2=self._area_mm2(pressure),
@@ -339,9 +383,10 @@ class PressureReader:
             remarks=(*self._about, *limits),
         )
 
-    def _limits(self, rise: np.ndarray, pressure: np.ndarray) -> tuple[str, ...]:
-        """Where the layer does not hold for this reading, a sentence each."""
-        said, deepest = [], -float(rise.min())
+    def _limits(self, deepest: float, pressure: np.ndarray) -> tuple[str, ...]:
+        """Where the layer does not hold for this reading, a sentence each; ``deepest``: place that
+        is touched [mm]."""
+        said = []
         if deepest > DEEPEST_SHARE * self.layer.thickness_mm:
             strain = deepest / self.layer.thickness_mm
             said.append(
@@ -354,11 +399,20 @@ class PressureReader:
             said.append("the contact reaches the border of the image: the force is of what is seen")
         return tuple(said)
 
-    def _small(self, values: np.ndarray) -> np.ndarray:
-        import cv2
+    def _small(self, values: np.ndarray, part: tuple[slice, ...]) -> np.ndarray:
+        """Means of a map over the grid that pressures are sought on, of a part of that."""
+        (rows, over_rows), (columns, over_columns) = (
+            (some, slice(*np.flatnonzero(some.any(axis=0))[[0, -1]] + [0, 1]))
+            for some in (self._rows[part[0]], self._columns[part[1]])
+        )
+        pixels = values[over_rows, over_columns].astype(np.float64)
+        return rows[:, over_rows] @ pixels @ columns[:, over_columns].T
 
-        size = (self._coarse.width_px, self._coarse.height_px)
-        return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+def _around(touched: np.ndarray, matrix: np.ndarray) -> slice:
+    """Rows of a matrix that hold what is touched, bool, shape [column], a multiple of ``PART``."""
+    of_part = np.flatnonzero(matrix @ touched)
+    return slice(int(of_part[0]) // PART * PART, (int(of_part[-1]) // PART + 1) * PART)
 
 
 def _widened(
@@ -383,59 +437,3 @@ def _about(profile: SensorProfile) -> tuple[str, ...]:
         f"{material.provenance.kind}: the force's interval covers {1e-3 * low_pa:.3g} to "
         f"{1e-3 * high_pa:.3g} kPa",
     )
-
-
-class Overstress:
-    r"""Pressure that a gel that relaxes adds to that of its relaxed layer, from frame to frame.
-
-    With Poisson's ratio constant, space and time part: pressure p(t) of a surface whose relaxed
-    layer would need p_e(t) is p_e plus, for each Maxwell branch g, tau [the correspondence
-    principle: Christensen 1982, Theory of Viscoelasticity, 2.4],
-
-        q(t) = g \int exp(-(t - s) / tau) dp_e(s)
-
-    which from frame to frame, p_e even in between, is a recursion of one map a branch:
-
-        q  <-  exp(-h) q + g (1 - exp(-h)) / h (p_e - p_e before),  h = dt / tau
-
-    A first frame does not say how long it was held: q is between 0 and g p_e. What is not known
-    fades by exp(-h) too.
-    """
-
-    def __init__(self, branches: Sequence[tuple[float, float]]) -> None:
-        """``branches``: relative modulus and time [s] of each."""
-        self.branches = tuple(branches)
-        self._maps: list[np.ndarray] = []
-        self._unknown: list[float] = []
-        self._last: tuple[np.ndarray, float] | None = None
-
-    @property
-    def most(self) -> float:
-        """Largest overstress over the relaxed pressure."""
-        return sum(modulus for modulus, _ in self.branches)
-
-    def follow(self, relaxed: np.ndarray, time_s: float | None) -> tuple[np.ndarray, float]:
-        """Take the next frame.
-
-        Args:
-            relaxed: Pressure that the relaxed layer needs, any unit, [h, w].
-            time_s: When the frame was taken, later than the one before [s]. None where that is not
-                known: the frame is taken as a first one.
-
-        Returns:
-            The overstress, [h, w], and how far its sum may be from that either way.
-        """
-        if time_s is None or self._last is None or not time_s > self._last[1]:
-            self._maps = [0.5 * modulus * relaxed for modulus, _ in self.branches]
-            self._unknown = [float(q.sum()) for q in self._maps]
-        else:
-            before, at = self._last
-            change = relaxed - before
-            for number, (modulus, tau) in enumerate(self.branches):
-                h = (time_s - at) / tau
-                left = math.exp(-h)
-                grown = -math.expm1(-h) / h
-                self._maps[number] = left * self._maps[number] + modulus * grown * change
-                self._unknown[number] *= left
-        self._last = None if time_s is None else (relaxed, time_s)
-        return np.sum(self._maps, axis=0), sum(self._unknown)

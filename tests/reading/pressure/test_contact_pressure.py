@@ -13,9 +13,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_layer, pressure_under
 from taccel_lab.reading.pressure import ContactPressure, PressureReader
-from taccel_lab.reading.touch import touch_of
+from taccel_lab.reading.touch import Touch, touch_of
 from taccel_lab.sensors.profile import catalogue_profile
 
 GRID = PixelGrid(160, 120, 0.12, 0.12)
@@ -150,6 +150,33 @@ def test_forces_are_those_of_a_search_that_is_over(profile: SensorProfile, monke
     monkeypatch.setattr("taccel_lab.reading.pressure.TOLERANCE", 1e-5)
     over = [read(profile, frame, SIGMA).force_n for frame in frames]
     assert found == pytest.approx(over, rel=1e-3)
+
+
+@pytest.mark.parametrize("part", [np.s_[8:40, 16:56], np.s_[0:48, 0:64], np.s_[8:32, 0:72]])
+def test_a_part_of_the_grid_is_pressed_as_the_whole_is(part: tuple[slice, slice]) -> None:
+    """As long as no tool is beside it, whatever gel is."""
+    x, y = np.meshgrid(np.arange(72) - 32.0, np.arange(56) - 18.0)
+    gap = np.where(np.hypot(x, 2 * y) < 14, 0.02 * x + 0.01 * y - 0.6, FAR_MM)
+    step, layer = (0.12, 0.15), BondedLayer(THICK_MM, NU)
+    whole, sunk = pressure_under(gap, step, layer, 1e-5, film_mm=0.1)
+    found, below = pressure_under(gap[part], step, layer, 1e-5, film_mm=0.1, whole=gap.shape)
+    np.testing.assert_allclose(found, whole[part], atol=1e-3 * float(whole.max()))
+    np.testing.assert_allclose(below, sunk[part], atol=2e-5)
+    outside = np.ones(gap.shape, dtype=bool)
+    outside[part] = False
+    assert not whole[outside].any() and whole.any()
+
+
+def test_what_may_press_unseen_grows_with_the_depth_that_may_hide(profile: SensorProfile) -> None:
+    """Evenly, also where the depth lies between those that are solved for."""
+    reader, nothing = PressureReader(profile, GRID), np.zeros((GRID.height_px, GRID.width_px))
+    depths_mm, ends = np.geomspace(0.1, 0.3, 12), []
+    for depth_mm in depths_mm:
+        found = reader.read(nothing, Touch(nothing > 0, 0.05, float(depth_mm)), SIGMA)
+        assert found.force_interval_n is not None and found.force_interval_n[0] == 0
+        ends.append(found.force_interval_n[1])
+    powers = np.diff(np.log(ends)) / np.diff(np.log(depths_mm))
+    assert powers.min() > 1.4 and powers.max() < 2.2
 
 
 def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: SensorProfile) -> None:

@@ -9,11 +9,8 @@ import pytest
 import taccel_lab as tl
 from taccel_lab.api.press_result import Press
 from taccel_lab.profile import BranchEntry, SensorProfile
-from taccel_lab.reading.pressure import (
-    ContactPressure,
-    Overstress,
-    PressureReader,
-)
+from taccel_lab.reading.overstress import Overstress
+from taccel_lab.reading.pressure import ContactPressure, PressureReader
 from taccel_lab.reading.touch import touch_of
 from taccel_lab.sensors.profile import catalogue_profile
 
