@@ -65,12 +65,14 @@ def kept_reader(
         if isinstance(sensor, (Path, str)):
             named = str(sensor)
             profile = _kept(_profiles, _state(named), lambda: reading_profile_of(named))
+            own = None  # Nobody else holds it.
         else:
             profile = reading_profile_of(sensor)
+            own = _content(profile.background_rgb)
         finds = background is None and is_starter(profile)
         folders = {path if path.is_dir() else path.parent for path in beside} if finds else ()
         key = (
-            id(profile), _content(profile.background_rgb), _content(background), _content(mask),
+            id(profile), own, _content(background), _content(mask),
             method, *(_files(folder) for folder in sorted(folders)),
         )  # fmt: skip
         return _kept(_readers, key, lambda: KeptReader(make(profile), profile))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -217,7 +217,7 @@ class Reading(Summary):
             )
         return title, [*rows, *(("note", text) for text in notes)]
 
-    @property
+    @cached_property
     def deepest_px(self) -> tuple[int, int]:
         """Row and column of the deepest place that is touched; of the image where nothing is."""
         depth = self.depth_m

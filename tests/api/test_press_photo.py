@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +22,7 @@ from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.touch import Touch
+from taccel_lab.report.page import PAGE
 from taccel_lab.with_error import with_error
 from tests.signals.pressed_surface import pixel_xy
 from tests.support.commands import done, refusal
@@ -72,6 +75,10 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo, tmp_path, capsys, mo
         assert f"place in the photo, {axis} {with_error(at, sigma)}" in said
     depth = with_error(like["depth_mm"], like["depth_error_mm"])
     assert " +- " in depth and f"depth in the photo {depth}" in said
+    # One depth of the press: what the photo alone reads stands beside it without a number.
+    page = unescape((tmp_path / "out" / PAGE).read_text(encoding="utf-8"))
+    assert f"{depth} mm deep" in page.replace(" ± ", " +- ")
+    assert not re.search(r"depth read from the photo\W+\d", page)
 
 
 @pytest.mark.slow
