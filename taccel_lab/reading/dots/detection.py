@@ -258,12 +258,12 @@ def _odd(dots: DotFit, cut: np.ndarray, sign: int) -> np.ndarray:
         return odd
     radius, contrast = np.log(dots.radius_px), np.abs(dots.contrast)
     stretch = dots.axes_px[:, 0] / dots.axes_px[:, 1]
-    for n in range(dots.count):
-        gap = np.hypot(*(dots.uv_px - dots.uv_px[n]).T)
-        gap[cut] += gap.max()
-        near = np.argsort(gap)[1 : 2 * _NEIGHBOURS + 1]
-        if not cut[n]:
-            odd[n] |= abs(radius[n] - np.median(radius[near])) > np.log(_ODD_RADIUS)
-            odd[n] |= stretch[n] > _ODD_ROUND * max(np.median(stretch[near]), 1.0)
-        odd[n] |= contrast[n] < _ODD_CONTRAST * np.median(contrast[near])
-    return odd
+    gap = np.hypot(*(dots.uv_px[:, None] - dots.uv_px).transpose(2, 0, 1))
+    gap[:, cut] += gap.max(axis=1, keepdims=True)
+    near = np.argsort(gap, axis=1)[:, 1 : 2 * _NEIGHBOURS + 1]
+    usual_radius, usual_stretch, usual_contrast = (
+        np.median(values[near], axis=1) for values in (radius, stretch, contrast)
+    )
+    unlike = np.abs(radius - usual_radius) > np.log(_ODD_RADIUS)
+    unlike |= stretch > _ODD_ROUND * np.maximum(usual_stretch, 1.0)
+    return odd | (unlike & ~cut) | (contrast < _ODD_CONTRAST * usual_contrast)

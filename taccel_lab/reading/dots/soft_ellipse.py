@@ -10,6 +10,8 @@ plane seen through a Gaussian blur.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import ndtr
 
@@ -49,12 +51,13 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Args:
         parameters: Shape [dot, 10], centres relative to the same origin as ``uv``.
-        uv: Pixels, shape [pixel, 2], the same for all dots.
+        uv: Pixels, shape [pixel, 2], the same for all dots; all is worked out in their precision.
 
     Returns:
         Levels, shape [dot, pixel], and derivatives, shape [dot, pixel, 10].
     """
-    p = parameters[:, :, None]
+    dtype = np.result_type(uv, np.float32)
+    p = parameters[:, :, None].astype(dtype, copy=False)
     u, v = uv[None, :, 0], uv[None, :, 1]
     du, dv = u - p[:, CENTRE_U], v - p[:, CENTRE_V]
     s11, s12, s22 = p[:, S11], p[:, S12], p[:, S22]
@@ -64,14 +67,16 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     radius = 1.0 / np.sqrt(det)
     blur = np.exp(p[:, LOG_BLUR])
     t = (1.0 - q) * radius / blur
-    inside = ndtr(t)
+    # What is nothing anyway stays a normal number: others take a hundred times as long.
+    bell = np.exp(-0.5 * np.minimum(np.square(t), 120.0))
+    inside = ndtr(t) if t.dtype == np.float64 else _normal_single(t, bell)
     contrast = p[:, CONTRAST]
     light = p[:, LEVEL] + p[:, SLOPE_U] * u + p[:, SLOPE_V] * v
-    edge = light * contrast * np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi)
+    edge = light * contrast * bell / math.sqrt(2 * math.pi)
     share = 1.0 + contrast * inside
 
     # One derivative after the other in memory: they are written in half the time.
-    jacobian = np.empty((len(p), PARAMETERS, len(uv))).transpose(0, 2, 1)
+    jacobian = np.empty((len(p), PARAMETERS, len(uv)), dtype).transpose(0, 2, 1)
     per_q = -edge * radius / blur
     jacobian[..., CENTRE_U] = -per_q * (s11 * yu + s12 * yv) / q
     jacobian[..., CENTRE_V] = -per_q * (s12 * yu + s22 * yv) / q
@@ -85,3 +90,14 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     jacobian[..., LEVEL] = share
     jacobian[..., SLOPE_U], jacobian[..., SLOPE_V] = share * u, share * v
     return light * share, jacobian
+
+
+def _normal_single(t: np.ndarray, bell: np.ndarray) -> np.ndarray:
+    """Normal distribution to single precision, where ``bell`` is ``exp(-t^2 / 2)``: a tenth of the
+    time of ``ndtr`` (C. Hastings, Approximations for Digital Computers, 1955; M. Abramowitz and
+    I. Stegun, Handbook of Mathematical Functions, 1964, 7.1.26, off by 1.5e-7 at most)."""
+    k = 1.0 / (1.0 + (0.3275911 / math.sqrt(2.0)) * np.abs(t))
+    tail = 1.061405429
+    for term in (-1.453152027, 1.421413741, -0.284496736, 0.254829592):
+        tail = term + k * tail
+    return 0.5 + np.copysign(0.5 - 0.5 * k * tail * bell, t)

@@ -47,6 +47,17 @@ def test_derivatives_of_the_dot_model_are_those_of_its_levels() -> None:
         np.testing.assert_allclose(jacobian[..., k], (ahead - behind) / 2e-5, atol=2e-4)
 
 
+def test_levels_in_single_precision_are_those_of_double() -> None:
+    """Also far from the dot, where the edge's bell is smaller than single precision holds."""
+    p = np.array([[0.3, -0.4, 0.21, 0.02, 0.18, np.log(0.3), -0.8, 150.0, 0.4, -0.3]])
+    uv = np.stack(np.meshgrid(np.arange(-30, 31), np.arange(-30, 31)), axis=-1).reshape(-1, 2)
+    double, single = (model.evaluate(p, uv.astype(kind)) for kind in (np.float64, np.float32))
+    for exact, fast in zip(double, single, strict=True):
+        assert fast.dtype == np.float32
+        assert np.abs(fast - exact).max() < 2e-6 * np.abs(exact).max()
+        assert not ((fast != 0) & (np.abs(fast) < np.finfo(np.float32).tiny)).any()
+
+
 @pytest.mark.parametrize("radius", [2.0, 3.0, 5.5, 9.0])
 @pytest.mark.parametrize("blur_px", [0.0, 0.8])
 def test_perfect_dots_are_found_to_a_hundredth_of_a_pixel(radius: float, blur_px: float) -> None:
