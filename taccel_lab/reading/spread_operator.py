@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -169,14 +169,12 @@ class SpreadOperator:
         return self._points_to_pixels(found.float())
 
 
-@dataclass(frozen=True)
-class Plane:
-    """The plane of the pixels at rest, by heights."""
+class Plane(NamedTuple):
+    """The plane of the pixels at rest: its coefficients by the height of each node, shape
+    [..., 3, node], and what they are coefficients of at nodes, shape [..., node, 3]."""
 
     weights: torch.Tensor
-    """Its coefficients by the height of each node, shape [..., 3, node]."""
     terms: torch.Tensor
-    """What they are coefficients of, at nodes, shape [..., node, 3]."""
 
 
 @dataclass(frozen=True)
@@ -192,17 +190,14 @@ class _ByAxes:
 
 @dataclass(frozen=True)
 class _Axis:
-    """Rows, or columns, of pixels, points, nodes and cells, and smooth noise along them."""
+    """Rows, or columns, of pixels (``count``), points (``size``) and ``nodes``, the outer ones on the
+    outer pixels, of as many cells, and noise that is smooth over ``length_px``."""
 
     count: int
-    """Pixels."""
     size: int
-    """Points."""
     nodes: int
-    """Nodes, the outer ones on the outer pixels; as many cells."""
     m_per_px: float
     length_px: float
-    """Reach of errors."""
 
     @property
     def wide(self) -> int:
