@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The suite ``readings``: images a second from colours to heights, and how far blocks are off.
+"""The suite ``readings``: images a second from colours to heights, how far blocks are off, and a
+kept reader's time beside a small network's.
 
 Dents with a sharp rim, slow sinking beside them and a camera's noise are read by networks of the
 real size: random layers, the last one fitted to a dent. Images come as bytes of the host, maps stay
@@ -45,6 +46,9 @@ class Readings(Suite):
         "heights: images_per_s",
         "heights and deviation: images_per_s",
         "off_mm_max",
+        "touched ms: median",
+        "untouched ms: median",
+        "small network ms: median",
     )
     at_once: tuple[int, ...] = (1, 16, 64)
     """Numbers of images read at once, a row each for each size."""
@@ -168,4 +172,9 @@ def measure(size: tuple[int, int], count: int, device: str, repeats: int) -> dic
         work = partial(read_heights, model, given, light, grid, uncertainty=uncertainty)
         figures = spread(seconds_of(work, device, repeats))
         row[name] = {**figures, "images_per_s": count / figures["median"]}
+    if count == 1 and device == "cpu":
+        # Readers need what a machine of a GPU may lack (cv2).
+        from taccel_lab.benchmarks.kept_reader import measure_reader
+
+        row |= measure_reader(model, images[0], light, grid, repeats)
     return row

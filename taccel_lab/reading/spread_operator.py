@@ -190,8 +190,8 @@ class _ByAxes:
 
 @dataclass(frozen=True)
 class _Axis:
-    """Rows, or columns, of pixels (``count``), points (``size``) and ``nodes``, the outer ones on the
-    outer pixels, of as many cells, and noise that is smooth over ``length_px``."""
+    """Rows, or columns, of pixels (``count``), of points (``size``), of ``nodes``, the outer ones
+    on the outer pixels, of as many cells, and noise that is smooth over ``length_px``."""
 
     count: int
     size: int

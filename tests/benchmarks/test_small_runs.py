@@ -21,7 +21,7 @@ from tests.support.bench import bench
 def test_images_are_read_at_a_speed_and_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(readings, "SIZES", ((120, 96),))
+    monkeypatch.setattr(readings, "SIZES", ((160, 128),))
     words = ["readings", "--at-once", "1", "2", "--repeats", "1", "--out", str(tmp_path)]
     assert bench(words) == 0
     document = read_result(tmp_path / "readings.json")
@@ -30,6 +30,10 @@ def test_images_are_read_at_a_speed_and_an_error(
         assert 0 < row["off_mm_max"] < 0.01 < 0.3 < row["deepest_mm"]
         assert min(row[name]["images_per_s"] for name in ("heights", "heights and deviation")) > 0
     assert document["headline"]["aim_per_s"] == 20
+    # One at a time a kept reader is timed, beside a small network.
+    alone, together = document["rows"]
+    for name in ("touched ms", "untouched ms", "small network ms"):
+        assert alone[name]["median"] > 0 and name not in together
 
 
 # Accuracy of presses ------------------------------------------------------------------------------
