@@ -92,7 +92,7 @@ class HeightUncertainty:
         slopes = tensor_of(slope, torch.float64)
         steepness = torch.maximum(length2(slopes), sigma).clamp(min=TINY_SLOPE)
         error = operator.at_points(slopes.movedim(-1, 0) * (sigma / steepness), counted)
-        along = operator.height_m(error, plane).abs()
+        along = operator.height_m(error, plane).abs_()
         return as_given(spread, slope_sigma), as_given(along, slope_sigma)
 
     def _seen(

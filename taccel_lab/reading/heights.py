@@ -227,8 +227,8 @@ def with_deviations(
     )
     rise = tensor_of(read.rise_m)
     # As a sum of squares: a third of the time of ``hypot``.
-    reading = (config.height_factor * reading).to(rise.dtype)
-    variance = (config.along_factor * along).square_().to(rise.dtype)
+    reading = reading.mul_(config.height_factor).to(rise.dtype)
+    variance = along.mul_(config.along_factor).square_().to(rise.dtype)
     variance.addcmul_(reading, reading).addcmul_(rise, rise, value=config.depth_share**2)
     sigma = variance.sqrt_()
     given = read.rise_m
