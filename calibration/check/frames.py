@@ -19,8 +19,8 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.processes.ahead import ahead
 from taccel_lab.processes.process_pool import one_blas_thread
 from taccel_lab.progress import Progress, counted, silent
-from taccel_lab.reading.light import LightDrift, fit_light
-from taccel_lab.reading.thumb import thumb
+from taccel_lab.reading.light import LightDrift, LightFit
+from taccel_lab.reading.thumb import SmallImage
 from taccel_lab.reading.whole_frame import BrokenFrameError
 from taccel_lab.signals.depth_response import Channel
 
@@ -86,9 +86,15 @@ def measure_presses(
 ) -> list[FrameFigures]:
     """Figures of every press against a background of the same framing (RGB uint8), of a ``grey``
     sensor by the channel that darkens with depth."""
-    small = thumb(background)
+    known = SmallImage.of(background)
     measure = partial(
-        _measure, background=background, background_small=small, mask=mask, grid=grid, grey=grey
+        _measure,
+        background=background,
+        rest=known.levels,
+        fit=LightFit(known),
+        mask=mask,
+        grid=grid,
+        grey=grey,
     )
     with one_blas_thread():  # A thread a press is enough.
         measured = ahead(measure, presses)
@@ -98,14 +104,15 @@ def measure_presses(
 def _measure(
     press: CapturedPress,
     background: np.ndarray,
-    background_small: np.ndarray,
+    rest: np.ndarray,
+    fit: LightFit,
     mask: np.ndarray | None,
     grid: PixelGrid,
     grey: Channel | None,
 ) -> FrameFigures:
     image = press.image()
-    small = thumb(image)
-    light = fit_light(small, background_small)
+    small = SmallImage.of(image)
+    light = fit.still(small)
     found = seen_contact(press, background, grid, mask, grey)
     contact = None if isinstance(found, InputError) else found
     circle = contact.circle if contact is not None else press.circle
@@ -128,10 +135,10 @@ def _measure(
     texture, correlation = texture_seen(image, background, beside)
     return FrameFigures(
         press=press,
-        thumb=small,
-        rest=background_small,
+        thumb=small.levels,
+        rest=rest,
         light=light,
-        shift_levels=light.shift(background_small.reshape(-1, 3).mean(axis=0)),
+        shift_levels=light.shift(rest.reshape(-1, 3).mean(axis=0)),
         contact=contact,
         fault="" if contact is not None else str(found).removeprefix(f"{press.source}: "),
         cut=isinstance(found, CutContactError),

@@ -21,9 +21,8 @@ from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.force.force_page import draw_forces
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.dots.marker_picture import MarkerPicture, find_markers
-from taccel_lab.reading.light import fit_light
-from taccel_lab.reading.whole_frame import require_whole
-from taccel_lab.reading.whose import unlike
+from taccel_lab.reading.frame_judge import FrameJudge
+from taccel_lab.reading.whole_frame import BrokenFrameError
 from taccel_lab.report.style import ORANGE, in_report_style, new_figure, save_figure
 from taccel_lab.signals.force_model import ForceModel, ForceReading
 
@@ -60,6 +59,7 @@ class ForceReader:
             self.model = ForceModel.from_profile(profile)
         self.background = profile.untouched(background, background_name)
         self.background_name = background_name
+        self._judge = FrameJudge(self.background)
 
     def _require_size(self, image: np.ndarray, name: str) -> None:
         config = self.model.config
@@ -78,14 +78,13 @@ class ForceReader:
     def read(self, image: np.ndarray, name: str = "image") -> ForceReading:
         """The force behind one image, RGB levels, shape [height_px, width_px, 3]."""
         self._require_size(image, name)
-        require_whole(image, self.background, name=name)
+        frame = self._judge.frame(image)
+        broken = frame.lost or frame.torn
+        if broken is not None:
+            raise BrokenFrameError(f"{name}: it {broken}")
         found = self._read(image, name)
-        levels, rest = image.astype(np.float32), self.background.astype(np.float32)
-        why = unlike(levels, rest, fit_light(levels, rest, gradient=False))
-        if why is None:
-            return found
-        said = f"it is no image of the background's sensor: {why}"
-        return replace(found, outside=(said, *found.outside))
+        foreign = frame.foreign(frame.pressed)
+        return replace(found, outside=(f"it {foreign}", *found.outside)) if foreign else found
 
     def _read(self, image: np.ndarray, name: str) -> ForceReading:
         if not self.model.config.markers:
