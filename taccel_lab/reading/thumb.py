@@ -12,7 +12,7 @@ import numpy as np
 THUMB_PX = 160
 """Longer side of the small images."""
 BLOCKS = 2000
-"""About so many blocks of an image's pixels its light and its sensor are told by."""
+"""Blocks of an image's pixels, about so many, that tell its light and its sensor."""
 USABLE_SHARE = 0.5
 """Part of a block's pixels that have to count for its mean to do so."""
 
