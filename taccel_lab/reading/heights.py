@@ -203,6 +203,21 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return np.stack(parts) if isinstance(first, np.ndarray) else torch.stack(list(parts))
 
 
+def on_pixels(maps: Sequence[np.ndarray], shape: tuple[int, int]) -> list[np.ndarray]:
+    """Maps of a coarse look, [h, w] or [h, w, n], on all pixels of an image, rows and columns of
+    ``shape``, along lines between the middles of its blocks; float32."""
+    import torch
+
+    planes = [values.reshape(*values.shape[:2], -1) for values in maps]
+    both = torch.from_numpy(np.concatenate(planes, axis=-1, dtype=np.float32)).movedim(-1, 0)
+    lines = enlarged(both.contiguous(), LARGEST_PX)[..., : shape[0], : shape[1]]
+    ends = np.cumsum([plane.shape[-1] for plane in planes])[:-1].tolist()
+    return [
+        (part.movedim(0, -1) if values.ndim == 3 else part[0]).contiguous().numpy()
+        for values, part in zip(maps, lines.tensor_split(ends), strict=True)
+    ]
+
+
 def with_deviations(
     read: ReadHeights[Array],
     config: NormalModelConfig,

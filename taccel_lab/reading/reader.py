@@ -20,7 +20,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
-from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
+from taccel_lab.reading.heights import ReadHeights, on_pixels, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
 from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
@@ -54,6 +54,8 @@ class LitImage:
     around: np.ndarray | None = None
     """Blocks (``blocks``) that a coarse look takes for touched, with those beside them, bool, which
     are read pixel by pixel; None for all."""
+    seen: ReadHeights | None = None
+    """What a coarse look saw of an image that shows no touch: there is no more to be read."""
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
 
@@ -210,13 +212,13 @@ class Reader:
 
         def shown(light: LightDrift, around: np.ndarray | None = None) -> LitImage:
             levels = light.on(self._day).removed(even.levels)
-            return LitImage(frame, levels, light, even.still, around, remark)
+            return LitImage(frame, levels, light, even.still, around, remark=remark)
 
         first = shown(even.still)
         self.clock.begin("touch")
-        dented, around = self._look(first)
+        dented, around, seen = self._look(first)
         if not dented:
-            return replace(first, around=around)
+            return replace(first, around=around, seen=seen)
         self.clock.begin("light")
         return shown(even.pressed, around)
 
@@ -224,19 +226,20 @@ class Reader:
         """An image in the profile's light as the untouched sensor's own light shows it."""
         return self._day.apply(levels)
 
-    def _look(self, lit: LitImage) -> tuple[bool, np.ndarray | None]:
-        """Whether a coarse look at an image shows a contact, and the blocks where one may be
-        (``LitImage.around``)."""
+    def _look(self, lit: LitImage) -> tuple[bool, np.ndarray | None, ReadHeights | None]:
+        """Whether a coarse look at an image shows a contact, the blocks where one may be
+        (``LitImage.around``), and what it saw where there is none."""
         if self.response is not None:
             rise_m = self.response.read(lit.levels, self.background, lit.mask).height_m
-            return touch_of(rise_m, None, self.grid).any, None
+            return touch_of(rise_m, None, self.grid).any, None, None
         found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
             (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, LARGEST_PX)
             sigma_m = together(sigma_m, light_m)
         dented = touch_of(found.rise_m, sigma_m, self.grid.thinned(LARGEST_PX)).any
-        return dented, likely_touched(found.rise_m, sigma_m, AROUND_BLOCKS)
+        around = likely_touched(found.rise_m, sigma_m, AROUND_BLOCKS)
+        return dented, around, None if around.any() else found
 
     def surface(self, lit: LitImage, name: str = "image") -> Reading:
         """The surface under an image of ``lit``, without the pressure that holds it."""
@@ -287,11 +290,12 @@ class Reader:
 
     def _by_normals(self, lit: LitImage, name: str) -> Reading:
         assert self.normal_model is not None
+        if lit.seen is not None:
+            return self._untouched(lit, lit.seen, name)
         found = self._heights(lit, uncertainty=False)
         self.clock.begin("deviations")
         found = with_deviations(found, self.normal_model.config, self.grid, lit.mask)
         read = found.normals
-        tilt_deg = np.degrees(np.hypot(read.tilt_rad[..., 0], read.tilt_rad[..., 1]))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
@@ -302,8 +306,37 @@ class Reader:
             normals=read.normals,
             sigma_deg=read.sigma_deg,
             radius95_deg=read.radius95_deg,
-            beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
+            beyond_balls=self._beyond(read.tilt_rad),
         )  # fmt: skip
+
+    def _untouched(self, lit: LitImage, seen: ReadHeights, name: str) -> Reading:
+        """The reading of an image in which a coarse look saw no touch."""
+        assert self.normal_model is not None
+        self.clock.begin("deviations")
+        read, shape = seen.normals, self.untouched.shape[:2]
+        maps = [seen.rise_m, read.normals, read.sigma_deg]
+        if seen.sigma_m is not None and seen.reading_sigma_m is not None:
+            (still_m,) = self._light_errors.sigma_m([lit.still], seen.zero, LARGEST_PX)
+            maps += [together(each, still_m) for each in (seen.sigma_m, seen.reading_sigma_m)]
+        rise_m, normals, sigma_deg, *sigmas = on_pixels(maps, shape)
+        normals /= np.sqrt(np.einsum("hwc,hwc->hw", normals, normals))[..., None]
+        beyond = self._beyond(read.tilt_rad)
+        for axis in (0, 1):
+            beyond = np.repeat(beyond, LARGEST_PX, axis=axis)
+        return self._reading(
+            lit, name, rise_m.astype(np.float64), *(sigmas or (None, None)),
+            method="normals",
+            normals=normals,
+            sigma_deg=sigma_deg,
+            radius95_deg=self.normal_model.config.radius95_sigmas * sigma_deg,
+            beyond_balls=beyond[: shape[0], : shape[1]],
+        )  # fmt: skip
+
+    def _beyond(self, tilt_rad: np.ndarray) -> np.ndarray:
+        """Where tilts, [h, w, 2], are steeper than any captured ball was, bool."""
+        assert self.normal_model is not None
+        cone = np.radians(self.normal_model.config.cone_deg)
+        return np.einsum("hwc,hwc->hw", tilt_rad, tilt_rad) > cone**2
 
     def _reading(
         self,
