@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ class PixelGrid:
     (0, 0) is the centre of the top left pixel.
     """
 
+    MOST_MM_PER_PX: ClassVar[float] = 1.0
     width_px: int
     height_px: int
     mm_per_px_x: float
@@ -38,8 +40,9 @@ class PixelGrid:
             )
         for name in ("mm_per_px_x", "mm_per_px_y"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and 1e-4 <= value <= 1.0):
-                raise InputError(f"{name} must lie in [1e-4, 1] mm per pixel, got {value}")
+            most = self.MOST_MM_PER_PX
+            if not (math.isfinite(value) and 1e-4 <= value <= most):
+                raise InputError(f"{name} must lie in [1e-4, {most:g}] mm per pixel, got {value}")
         if self.center_u_px is None:
             object.__setattr__(self, "center_u_px", (self.width_px - 1) / 2)
         if self.center_v_px is None:
@@ -65,14 +68,14 @@ class PixelGrid:
         )
 
     def thinned(self, every: int) -> PixelGrid:
-        """Return the pixels of every ``every``-th row and column."""
-        return PixelGrid(
+        """Return blocks of ``every`` times ``every`` pixels; the last ones may be cut off."""
+        return _BlockGrid(
             -(-self.width_px // every),
             -(-self.height_px // every),
             self.mm_per_px_x * every,
             self.mm_per_px_y * every,
-            self.center_u_px / every,
-            self.center_v_px / every,
+            (self.center_u_px + 0.5) / every - 0.5,
+            (self.center_v_px + 0.5) / every - 0.5,
         )
 
     def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
@@ -115,3 +118,9 @@ class PixelGrid:
             (self.center_u_px + 0.5) / across - 0.5,
             (self.center_v_px + 0.5) / down - 0.5,
         )
+
+
+class _BlockGrid(PixelGrid):
+    """Blocks of pixels, which may be coarser than any image."""
+
+    MOST_MM_PER_PX: ClassVar[float] = math.inf

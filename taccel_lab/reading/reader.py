@@ -316,8 +316,9 @@ class Reader:
         read, shape = seen.normals, self.untouched.shape[:2]
         maps = [seen.rise_m, read.normals, read.sigma_deg]
         if seen.sigma_m is not None and seen.reading_sigma_m is not None:
-            (still_m,) = self._light_errors.sigma_m([lit.still], seen.zero, LARGEST_PX)
-            maps += [together(each, still_m) for each in (seen.sigma_m, seen.reading_sigma_m)]
+            lights = self._light_errors.sigma_m([lit.light, lit.still], seen.zero, LARGEST_PX)
+            known = seen.sigma_m, seen.reading_sigma_m
+            maps += [together(one, light_m) for one, light_m in zip(known, lights, strict=True)]
         rise_m, normals, sigma_deg, *sigmas = on_pixels(maps, shape)
         normals /= np.sqrt(np.einsum("hwc,hwc->hw", normals, normals))[..., None]
         beyond = self._beyond(read.tilt_rad)
