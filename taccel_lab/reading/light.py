@@ -26,6 +26,8 @@ MIN_BLOCKS = 50
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
 MIN_SCALE_LEVELS = 1.0
+ROUNDED_LEVELS = 0.5
+"""Variation of a background that rounding to whole levels may make or take."""
 PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
 """Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
 PRIOR_SAMPLES = 200.0
@@ -333,6 +335,8 @@ def _with_prior(
     noise = 0.5 * total * scale**2
     # Of own levels without any power there is no share, and none that is larger than 0.
     share = 1.0 - noise / np.maximum(power, noise) if noise > 0 else (power > 0).astype(float)
+    # Rounding goes with the levels, block by block: what varies by no more tells no gain.
+    share = np.where(power > total * ROUNDED_LEVELS**2, share, 0.0)
     # The offset is that at the mean level, so that its prior does not fight the gain's.
     mean = others_levels[0] / total if total > 0 else np.zeros(3)
     expected = explained.copy()

@@ -44,6 +44,8 @@ more, but for the faintest."""
 WIDE_LEVELS, WIDE_TIMES = 1.5, 2.5
 """Likewise, of the median over the whole width: presses have up to 2.2 times where the jump has
 ``WIDE_LEVELS``, rows moved sideways by 20 px 3.5 times and more."""
+WIDE_FREE = 0.45
+"""Part of the places that may lie free of such a seam."""
 ROUNDED_LEVELS = 0.8
 """Jumps that rounding to whole levels makes of a smooth image: half a level in each channel."""
 SMOOTH_ACROSS = 21
@@ -272,7 +274,8 @@ def _partial_seam(jump: np.ndarray) -> tuple[int, float]:
 def _wide_seam(jump: np.ndarray) -> int:
     """The row behind a seam over the whole width, of jumps over ``SMOOTH_ACROSS`` places; 0 without
     one."""
-    size = np.sort(_lengths(jump), axis=1)[:, jump.shape[1] // 2]
+    # A straight tool may lie over half of a view.
+    size = np.sort(_lengths(jump), axis=1)[:, int(WIDE_FREE * jump.shape[1])]
     if size.max() <= WIDE_LEVELS:
         return 0
     sharp = np.where(
