@@ -54,7 +54,7 @@ class SmallNetwork:
         return np.tan(angles.numpy()).reshape(*image.shape[:2], 2)
 
     def heights(self, image: np.ndarray) -> np.ndarray:
-        """Of an image, shape [height_px, width_px]."""
+        """Grey levels of an image, shape [height_px, width_px]."""
         slopes = self._slopes(image) - self._rest
         flow = np.zeros(image.shape[:2])
         along_x = 0.5 * (slopes[:, 1:, 0] + slopes[:, :-1, 0])

@@ -41,7 +41,7 @@ NEAR_LENGTHS = 1.5
 """Reach of what is next to a node, in reaches of errors: with it deviations at rims of contacts
 agree best with those of many trials."""
 FAR_REACHES = 4.0
-"""As many of them away nothing is next to a node."""
+"""Reaches from a node beyond which nothing is next to it."""
 WIDE = 2
 """Cells along each axis of a wide cell: what heights share with a plane is smooth."""
 BRIDGE = 1e-2
@@ -206,7 +206,7 @@ class _Axis:
 
     @property
     def step_m(self) -> float:
-        """From point to point [m]."""
+        """Distance of neighbouring points [m]."""
         return self.m_per_px * self.count / self.size
 
     @property
@@ -227,7 +227,7 @@ class _Axis:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Of the noise of points, of sum 1, shape [size, size]."""
+        """Correlation of the noise of points, of sum 1, shape [size, size]."""
         return self._smooth(np.sqrt(2.0) * self.length)
 
     @cached_property
@@ -286,7 +286,7 @@ class _Axis:
         return np.clip(at, 0, self.size - 1)[:, None] - np.arange(self.size)
 
     def from_nodes(self, places_px: np.ndarray) -> np.ndarray:
-        """From nodes to places between them, shape [place, node]."""
+        """Weights of nodes at places between them, shape [place, node]."""
         step = (self.count - 1) / (self.nodes - 1)
         away = places_px[:, None] / step - np.arange(self.nodes)
         return np.maximum(0.0, 1.0 - np.abs(away))
