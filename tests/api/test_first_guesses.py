@@ -166,7 +166,7 @@ def test_a_near_miss_is_answered_by_one_name(word: str) -> None:
     ("image", "says"),
     [
         ([], "the list of images is empty"),
-        (np.zeros((2, 345, 460, 3), np.uint8), "several are given as a list"),
+        (np.zeros((2, 345, 460, 3), np.uint8), "image 0 is no image of the sensor"),
         (np.zeros((345, 460), np.uint8), r"\[height, width, 3\] or \[3, height, width\]"),
         (np.full((345, 460, 3), 0.5), "levels from 0 to 1; multiply it by 255"),
         (np.zeros((345, 460, 4), np.uint8), r"image has shape \[345, 460, 4\]"),
