@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +22,6 @@ class PixelGrid:
     (0, 0) is the centre of the top left pixel.
     """
 
-    MOST_MM_PER_PX: ClassVar[float] = 1.0
     width_px: int
     height_px: int
     mm_per_px_x: float
@@ -40,13 +38,16 @@ class PixelGrid:
             )
         for name in ("mm_per_px_x", "mm_per_px_y"):
             value = getattr(self, name)
-            most = self.MOST_MM_PER_PX
+            most = self._most_mm_per_px()
             if not (math.isfinite(value) and 1e-4 <= value <= most):
                 raise InputError(f"{name} must lie in [1e-4, {most:g}] mm per pixel, got {value}")
         if self.center_u_px is None:
             object.__setattr__(self, "center_u_px", (self.width_px - 1) / 2)
         if self.center_v_px is None:
             object.__setattr__(self, "center_v_px", (self.height_px - 1) / 2)
+
+    def _most_mm_per_px(self) -> float:
+        return 1.0
 
     def x_mm(self) -> np.ndarray:
         """Gel x of each column [mm], shape [width_px]."""
@@ -123,4 +124,5 @@ class PixelGrid:
 class _BlockGrid(PixelGrid):
     """Blocks of pixels, which may be coarser than any image."""
 
-    MOST_MM_PER_PX: ClassVar[float] = math.inf
+    def _most_mm_per_px(self) -> float:
+        return math.inf

@@ -120,41 +120,47 @@ def _finer(
 ) -> tuple[Patch, torch.Tensor] | None:
     """The part of a patch around its flags [image, h, w], by blocks half as wide, and the flags of
     these; None without a flag. Those that are not flagged lie on lines between the patch's."""
+    parts = _flagged(flags)
+    if parts is None:
+        return None
     size = patch.block_px // 2
-    spans, inner, parts = [], [], []
-    for axis, (span, count) in enumerate(
-        zip((patch.rows, patch.columns), windows.count(size), strict=True)
-    ):
-        others = (0, 2 - axis)
-        at = flags.any(dim=others[0]).any(dim=others[1] - 1).nonzero()[:, 0]
-        if not len(at):
-            return None
-        # With a block beside the flags, and one more that lines go to.
-        first, last = int(at[0]) - 1, int(at[-1]) + 2
-        wide = slice(max(first - 1, 0), min(last + 1, span.stop - span.start))
-        first, last = max(first, 0), min(last, span.stop - span.start)
-        spans.append(slice(2 * (span.start + first), min(2 * (span.start + last), count)))
-        inner.append(
-            slice(
-                2 * (first - wide.start),
-                2 * (first - wide.start) + spans[-1].stop - spans[-1].start,
-            )
+    # Lines go to the next block.
+    wide = [slice(max(part.start - 1, 0), part.stop + 1) for part in parts]
+    rows, columns = (
+        slice(2 * (span.start + part.start), min(2 * (span.start + part.stop), count))
+        for span, part, count in zip(
+            (patch.rows, patch.columns), parts, windows.count(size), strict=True
         )
-        parts.append((wide, slice(first, last)))
-    rows, columns = spans
-    wide = patch.values[..., parts[0][0], parts[1][0]]
-    found = enlarged(wide, 2)[..., inner[0], inner[1]].contiguous()
-    flags = flags[..., parts[0][1], parts[1][1]]
-    flags = flags.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
-    flags = flags[..., : rows.stop - rows.start, : columns.stop - columns.start]
+    )
+    found = enlarged(patch.values[..., wide[0], wide[1]], 2)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    top, left = (2 * (part.start - outer.start) for part, outer in zip(parts, wide, strict=True))
+    found = found[..., top : top + height, left : left + width].contiguous()
+    flags = _doubled(flags[..., parts[0], parts[1]])[..., :height, :width]
     picked = flags
     if windows.mask is not None:
-        picked = flags & _any_kept(windows, size)[..., rows, columns]
+        picked = flags & _any(windows.mask, size)[..., rows, columns]
     picked = picked.flatten().nonzero()[:, 0]
     if len(picked):
         blocks = windows.blocks(size, rows, columns)
         found.flatten(1)[:, picked] = answer(blocks, picked)
     return Patch(size, rows, columns, found), flags
+
+
+def _flagged(flags: torch.Tensor) -> tuple[slice, slice] | None:
+    """Rows and columns of the flags [image, h, w] that are set, with one beside them."""
+    spans = []
+    for axis, count in ((2, flags.shape[1]), (1, flags.shape[2])):
+        at = flags.any(dim=0).any(dim=axis - 1).nonzero()[:, 0]
+        if not len(at):
+            return None
+        spans.append(slice(max(int(at[0]) - 1, 0), min(int(at[-1]) + 2, count)))
+    return spans[0], spans[1]
+
+
+def _doubled(flags: torch.Tensor) -> torch.Tensor:
+    """Flags of blocks, [..., h, w], on blocks half as wide."""
+    return flags.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
 
 
 def painted(patches: Sequence[Patch], shape: tuple[int, int]) -> torch.Tensor:
@@ -184,11 +190,6 @@ def enlarged(values: torch.Tensor, times: int) -> torch.Tensor:
 def _any_masked(windows: FeatureWindows, block_px: int) -> torch.Tensor | None:
     """Blocks in which a pixel is masked, bool, shape [1, h, w]; None where none is."""
     return None if windows.mask is None else _any(~windows.mask, block_px)
-
-
-def _any_kept(windows: FeatureWindows, block_px: int) -> torch.Tensor:
-    assert windows.mask is not None
-    return _any(windows.mask, block_px)
 
 
 def _any(flags: torch.Tensor, block_px: int) -> torch.Tensor:
@@ -225,12 +226,8 @@ def _uneven(windows: FeatureWindows) -> dict[int, torch.Tensor]:
         size *= 2
         texture = energy.sqrt()
         found[size] = texture > _limit(texture, TEXTURE_LEVELS / LEVELS_PER_UNIT)
-    inside = found[2 * FINEST_CELL_PX]
-    while size > 2:
-        size = FINEST_CELL_PX
-        height, width = windows.count(size)
-        inside = inside.repeat_interleave(2, dim=-1).repeat_interleave(2, dim=-2)
-        found[size] = inside[..., :height, :width]
+    height, width = windows.count(FINEST_CELL_PX)
+    found[FINEST_CELL_PX] = _doubled(found[2 * FINEST_CELL_PX])[..., :height, :width]
     return found
 
 

@@ -104,6 +104,12 @@ class Reader:
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = None
         if self.method == "normals":
+            height, width = self.untouched.shape[:2]
+            if min(height, width) <= LARGEST_PX:
+                raise InputError(
+                    f"the camera of {profile.sensor.name} has {width}x{height} px; slopes are read "
+                    f"from images of more than {LARGEST_PX}x{LARGEST_PX} px"
+                )
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self.judge = FrameJudge(self.untouched, mask)
@@ -319,7 +325,11 @@ class Reader:
             lights = self._light_errors.sigma_m([lit.light, lit.still], seen.zero, LARGEST_PX)
             known = seen.sigma_m, seen.reading_sigma_m
             maps += [together(one, light_m) for one, light_m in zip(known, lights, strict=True)]
-        rise_m, normals, sigma_deg, *sigmas = on_pixels(maps, shape)
+        rise_m, normals, *others = on_pixels(maps, shape)
+        # Lines that go on beyond the outermost blocks may fall below any deviation there is.
+        sigma_deg, *sigmas = (
+            np.maximum(fine, known.min()) for fine, known in zip(others, maps[2:], strict=True)
+        )
         normals /= np.sqrt(np.einsum("hwc,hwc->hw", normals, normals))[..., None]
         beyond = self._beyond(read.tilt_rad)
         for axis in (0, 1):

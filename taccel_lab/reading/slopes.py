@@ -194,7 +194,9 @@ class NormalModel:
                 near = torch.zeros(windows.count(LARGEST_PX), dtype=torch.bool)
             patches = read_in_blocks(windows, answer, _lean_slopes, near)
             read = patches[0].values if coarse else painted(patches, shape[:2])
-            tilt, error = read[:2].movedim(0, -1), read[2]
+            # Lines that go on beyond the outermost blocks may fall below any error there is.
+            least = self.config.error_factor * MIN_ERROR_RAD
+            tilt, error = read[:2].movedim(0, -1), read[2].clamp(min=least)
             if windows.mask is not None:
                 held = windows.cover(LARGEST_PX) > 0 if coarse else windows.mask
                 tilt = tilt.where(held[..., None], 0.0)

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
+from taccel_lab.benchmarks.kept_reader import unit_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
@@ -26,6 +27,7 @@ from taccel_lab.reading.features import (
     pixel_place,
 )
 from taccel_lab.reading.heights import read_heights
+from taccel_lab.reading.reader import Reader
 from taccel_lab.reading.slopes import NormalModel, relative_normals
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 from tests.networks.weights import random_weights
@@ -290,6 +292,13 @@ def test_features_of_single_pixels_are_those_of_the_picture():
     picked = rng.permutation(36 * 48)[:70]
     whole = image_features(config, *given_).reshape(-1, config.input_count)
     np.testing.assert_array_equal(image_features(config, *given_, picked=picked), whole[picked])
+
+
+def test_an_image_of_a_single_block_is_too_small_to_be_read():
+    grid = PixelGrid(12, 8, 1.0, 1.0)
+    small = random_model(replace(CONFIG, width_px=12, height_px=8))
+    with pytest.raises(InputError, match="has 12x8 px; slopes are read from images of more than 8"):
+        Reader(unit_of(small, grid), background=background(0, 12, 8))
 
 
 def test_devices_that_are_not_there_and_wrong_shapes_are_refused():

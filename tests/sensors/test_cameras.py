@@ -172,13 +172,13 @@ def test_cameras_are_saved(pressed: Press, tmp_path: Path, monkeypatch: pytest.M
     assert main.image is not None and right.image is not None
     assert main.image.shape == right.image.shape
     assert not np.array_equal(main.image, right.image)
-    assert np.nanmin(main.height_mm) == pytest.approx(np.nanmin(right.height_mm), abs=0.01)
+    assert np.nanmin(main.height_m) == pytest.approx(np.nanmin(right.height_m), abs=1e-5)
     pressed.save(tmp_path / "out")
     folder = tmp_path / "out" / "views" / "camera_2"
     written = {path.name for path in folder.iterdir()}
     assert {"signals.npz", "predicted.png", "height_map.png", "markers.csv"} <= written
     with np.load(folder / "signals.npz") as arrays:
-        np.testing.assert_array_equal(arrays["height_m"], 1e-3 * right.height_mm)
+        np.testing.assert_array_equal(arrays["height_m"], right.height_m)
 
 
 @pytest.mark.thorough
