@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much the light changed over the frames of a capture."""
+"""Change of the light over the frames of a capture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CHANNELS = ("red", "green", "blue")
 
 @dataclass(frozen=True)
 class DriftSpread:
-    """How the light changed over a set of frames, at the background's mean level."""
+    """Change of the light over a set of frames, at the background's mean level."""
 
     frame_count: int
     shift_levels: tuple[float, float, float]

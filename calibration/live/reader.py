@@ -26,7 +26,7 @@ from taccel_lab.reading.thumb import thumb
 from taccel_lab.reading.whose import unlike
 
 FRAME = "the frame"
-"""What refusals call a frame."""
+"""Name of a frame in refusals."""
 
 ForceReadings = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 """Image and background, RGB uint8, in; forces by name and unit out, such as ``{"Fz [N]": 1.2,
@@ -54,10 +54,10 @@ class LiveReading:
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
     reading: Reading | None
-    """What ``Reader.read`` reads from it; None where it refuses the frame, or the profile has no
+    """Reading of ``Reader.read``; None where it refuses the frame, or the profile has no
     block for it."""
     refused: str
-    """Why the frame is refused; empty where it is not."""
+    """Reason of a refusal; empty where the frame is read."""
     markers: SeenMarkers | None
     """None without markers."""
     forces: Mapping[str, float]

@@ -84,7 +84,7 @@ class Reader:
                 first one ends the stream.
 
         Raises:
-            InputError: No recording, or a frame that cannot be read where nobody is told.
+            InputError: No recording, or, without ``refused``, a frame that is refused.
         """
         for image, name, time_s in _frames(frames):
             try:

@@ -12,10 +12,8 @@ sinking beside a contact is read as all else.
 Both limits rise with what a quarter of the image stays below, which is noise: there is nothing to
 be seen in it.
 
-What networks from colours to normals give where nothing has changed.
-
-It is taken off what they give for an image, and is the same for all images of a sensor: each place
-is asked for once, also by readers that are made anew for every image.
+Tilts that networks give where nothing has changed are taken off what they give for an image. They
+are the same for all images of a sensor: each place is asked for once, by all readers of a profile.
 """
 
 from __future__ import annotations

@@ -177,9 +177,10 @@ def _span(around: np.ndarray | None) -> tuple[slice, slice] | None:
         return None
     spans = []
     for axis in (1, 0):
-        at = np.flatnonzero(around.any(axis=axis)) * (LARGEST_PX // CELL_PX)
-        end = min(at[-1] + LARGEST_PX // CELL_PX, 1 << 30) if len(at) else 0
-        spans.append(slice(int(at[0]) if len(at) else 0, int(end)))
+        at = np.flatnonzero(around.any(axis=axis))
+        first, last = (int(at[0]), int(at[-1]) + 1) if len(at) else (0, 0)
+        cells = LARGEST_PX // CELL_PX
+        spans.append(slice(cells * first, cells * last))
     return spans[0], spans[1]
 
 

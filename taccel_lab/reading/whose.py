@@ -129,14 +129,6 @@ def light_of_background(
     return LightDrift(ratio, np.zeros(3))
 
 
-def pattern_shift(
-    image: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
-) -> tuple[float, float] | None:
-    """``Pattern.shift`` of an image, RGB levels in the background's light, as that is."""
-    known, seen = (SmallImage.of(each, mask) for each in (background, image))
-    return Pattern(known).shift(seen)
-
-
 class Pattern:
     """What stands still of an untouched gel, and how far a frame has it moved."""
 

@@ -48,7 +48,7 @@ class CameraReplay:
     noise_levels: float = 0.0
     """Standard deviation of read noise that is added, since a still repeats its own [levels]."""
     paced: bool = False
-    """Whether frames wait for their time, as a camera's do; photos, which have none, never do."""
+    """Frames wait for their time, as a camera's do; photos, which have none, never do."""
     unread: Callable[[str], None] | None = None
     """Listener for frames that cannot be read, which are then left out; without one they end it."""
 
@@ -74,7 +74,7 @@ class ReplayCamera:
 
     def read(self) -> Shot | None:
         """The next frame at its own time; None at the end. Raises InputError for a frame that
-        cannot be read where nobody is told of it."""
+        cannot be read, unless ``CameraReplay.unread`` takes it."""
         for frame in self._frames:
             if not isinstance(frame.image, InputError):
                 return self._shot(frame, frame.image)
