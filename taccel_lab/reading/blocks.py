@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.features import LEVELS_PER_UNIT, Blocks, FeatureWindows
 from taccel_lab.reading.windows import halved
@@ -174,15 +176,28 @@ def painted(patches: Sequence[Patch], shape: tuple[int, int]) -> torch.Tensor:
 
 def enlarged(values: torch.Tensor, times: int) -> torch.Tensor:
     """Maps, shape [..., h, w], of blocks ``times`` times smaller, along lines through the middles
-    of blocks."""
-    import torch
-
+    of blocks, which go on beyond the outermost ones."""
     if times == 1:
         return values
-    lines = extended(extended(values.reshape(1, -1, *values.shape[-2:]), -1), -2)
-    found = torch.nn.functional.interpolate(lines, scale_factor=times, mode="bilinear")
-    found = found[..., times:-times, times:-times]
-    return found.reshape(*values.shape[:-2], *found.shape[-2:])
+    rows, columns = (
+        _lines(values.shape[axis], times, values.dtype, values.device) for axis in (-2, -1)
+    )
+    return rows @ (values @ columns.T)
+
+
+@lru_cache(maxsize=256)
+def _lines(count: int, times: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Weights of the blocks of an axis in ones ``times`` times smaller, [count * times, count]."""
+    import torch
+
+    at = (np.arange(count * times) + 0.5) / times - 0.5
+    before = np.clip(np.floor(at).astype(int), 0, max(count - 2, 0))
+    weights = np.zeros((len(at), count))
+    weights[np.arange(len(at)), before] = 1.0
+    if count > 1:
+        weights[np.arange(len(at)), before] -= at - before
+        weights[np.arange(len(at)), before + 1] = at - before
+    return torch.as_tensor(weights, dtype=dtype, device=device)
 
 
 def _any_masked(windows: FeatureWindows, block_px: int) -> torch.Tensor | None:
@@ -241,18 +256,6 @@ def _widened(flags: torch.Tensor) -> torch.Tensor:
     import torch
 
     return torch.nn.functional.max_pool2d(flags.float()[None], 3, stride=1, padding=1)[0] > 0
-
-
-def extended(values: torch.Tensor, axis: int) -> torch.Tensor:
-    """Values with one more at either end of an axis, on the line through the two at that end."""
-    import torch
-
-    last = values.shape[axis] - 1
-    ends = [
-        2 * values.narrow(axis, end, 1) - values.narrow(axis, inner, 1)
-        for end, inner in ((0, min(1, last)), (last, max(last - 1, 0)))
-    ]
-    return torch.cat([ends[0], values, ends[1]], dim=axis)
 
 
 class TiltsAtRest:

@@ -19,7 +19,7 @@ import numpy as np
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import encode_position
-from taccel_lab.reading.windows import axis_window, cell_of, halved
+from taccel_lab.reading.windows import axis_windows, cell_of, halved
 from taccel_lab.signals.tensors import Array, as_given, tensor_of
 
 if TYPE_CHECKING:
@@ -212,57 +212,87 @@ class FeatureWindows:
         height, width = self.count(block_px)
         rows, columns = rows or slice(0, height), columns or slice(0, width)
         means: dict[float, torch.Tensor] = {}
-        variations = []
-        for scale in self._slopes:
-            means[scale], along = self._windowed(scale, block_px, rows, columns, varied=True)
-            variations.append(along)
-        for scale in self._scales:
-            if scale not in means:
-                means[scale], _ = self._windowed(scale, block_px, rows, columns)
+        changes: dict[float, torch.Tensor] = {}
+        for scales in self._alike(block_px):
+            if scales == (0.0,) and self.mask is None:
+                means[0.0] = self.cells(block_px)[..., rows, columns]
+                continue
+            varied = tuple(scale for scale in scales if scale in self._slopes)
+            found, along = self._windowed(scales, varied, block_px, rows, columns)
+            means |= zip(scales, found, strict=True)
+            changes |= zip(varied, along, strict=True)
         known = self._place(block_px)[:, rows, columns]
         if self._under is not None:
             known = torch.cat([self._under.blocks(block_px, rows, columns).changing[:, 0], known])
-        changing = torch.cat([*(means[scale] for scale in self._scales), *variations])
+        parts = [means[scale] for scale in self._scales]
+        changing = torch.cat([*parts, *(changes[scale] for scale in self._slopes)])
         return Blocks(block_px, rows, columns, changing, known)
 
+    def _alike(self, block_px: int) -> list[tuple[float, ...]]:
+        """Windows that take cells of the same size."""
+        found: dict[tuple[int, bool], list[float]] = {}
+        for scale in sorted({*self._scales, *self._slopes}):
+            found.setdefault((cell_of(scale, block_px), scale > 0), []).append(scale)
+        return [tuple(scales) for scales in found.values()]
+
     def _windowed(
-        self, scale: float, block_px: int, rows: slice, columns: slice, *, varied: bool = False
+        self,
+        scales: tuple[float, ...],
+        varied: tuple[float, ...],
+        block_px: int,
+        rows: slice,
+        columns: slice,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Averages in one window, shape [3, image, h, w], and, where asked for, their variation
-        over it along columns and rows, shape [6, image, h, w]."""
+        """Averages in windows that take the same cells, shape [window, 3, image, h, w], and of some
+        their variation over the window along columns and rows, shape [varied, 6, image, h, w]."""
         import torch
 
-        cell_px = cell_of(scale, block_px)
-        values, cover = self.cells(cell_px), None if self.mask is None else self.cover(cell_px)
+        cell_px = cell_of(scales[-1], block_px)
+        values = self.cells(cell_px)
         _, height, width, _ = self._units.shape
+        device, masked = values.device, self.mask is not None
         down, across = (
-            axis_window(
-                count, scale, block_px, (part.start, part.stop), cover is not None, values.device
-            )
+            axis_windows(count, scales, varied, block_px, masked, device).part(part)
             for count, part in ((height, rows), (width, columns))
         )
-        values = values[..., down.cells, across.cells]
-        if cover is not None:
-            cover = cover[down.cells, across.cells]
+        at = [scales.index(scale) for scale in varied]
+        varies = slice(at[0], at[-1] + 1) if at else slice(0, 0)
 
-        shares = (
-            (None, None) if cover is None else (cover @ across.means.T, cover @ across.borders.T)
-        )
-        mean_u, border_u = values @ across.means.T, values @ across.borders.T if varied else None
+        def seen(values: torch.Tensor, beside: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+            """Averages of maps [n, h, w] over blocks, and what ``beside`` tells along rows and
+            columns, each of shape [n, window, h, w]."""
+            values = values[:, down.cells, across.cells]
+            means = _by_rows(down.means, values)
+            found = [means @ across.means.mT]
+            if at:
+                found.append(means[:, varies] @ beside[1].mT)
+                found.append(_by_rows(beside[0], values) @ across.means[varies].mT)
+            return found
 
-        def at(left: torch.Tensor, right: torch.Tensor, cover: torch.Tensor | None) -> torch.Tensor:
-            found = left @ right
-            if cover is None:
-                return found
-            share = left @ cover
-            return torch.where(share > MIN_COVER, found / share.clamp(min=MIN_COVER), 0.0)
+        maps = values.flatten(0, 1)
+        if not masked:
+            found = seen(maps, (down.changes, across.changes))
+        else:
+            cover = seen(self.cover(cell_px)[None], (down.borders, across.borders))
+            sums = seen(maps, (down.borders, across.borders))
+            found = [
+                torch.where(share > MIN_COVER, total / share.clamp(min=MIN_COVER), 0.0)
+                for total, share in zip(sums, cover, strict=True)
+            ]
+            if at:
+                found[1] = found[1].diff(dim=-1) * across.across[:, None]
+                found[2] = found[2].diff(dim=-2) * down.across[..., None]
+        found = [each.unflatten(0, values.shape[:2]).movedim(2, 0) for each in found]
+        return found[0], torch.cat(found[1:], dim=1) if at else found[0][:0]
 
-        mean = at(down.means, mean_u, shares[0])
-        if border_u is None:
-            return mean, mean[:0]
-        along_u = at(down.means, border_u, shares[1]).diff(dim=-1) * (scale / across.sizes)
-        along_v = at(down.borders, mean_u, shares[0]).diff(dim=-2) * (scale / down.sizes)[:, None]
-        return mean, torch.cat([along_u, along_v])
+
+def _by_rows(weights: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Weighted sums over rows of maps [n, h, w], for weights [window, block, h], shape
+    [n, window, block, w]: one product a map."""
+    import torch
+
+    flat = weights.flatten(0, 1).expand(len(values), -1, -1)
+    return torch.bmm(flat, values).unflatten(1, weights.shape[:2])
 
 
 def place_of_blocks(place: Any, block_px: int) -> torch.Tensor:

@@ -43,43 +43,73 @@ def cell_of(sigma_px: float, block_px: int) -> int:
 
 
 @dataclass(frozen=True)
-class AxisWindow:
-    """One window along one axis: from cells to blocks."""
+class AxisWindows:
+    """Windows along one axis that take cells of one size: from cells to blocks."""
 
     means: torch.Tensor
-    """Weights of cells in averages over blocks, float32, shape [block, cell]."""
+    """Weights of cells in averages over blocks, float32, shape [window, block, cell]."""
     borders: torch.Tensor
-    """The same for values at borders of blocks, both ends among them, [block + 1, cell]. Beyond an
-    end of the axis a line goes on as between the last two pixels; where some pixels are masked, the
-    value at an end is that of the last pixel."""
+    """The same for values at borders of blocks, both ends among them, of the windows across which
+    values vary, [varied, block + 1, cell]. Beyond an end of the axis a line goes on as between the
+    last two pixels; where some pixels are masked, the value at an end is that of the last pixel."""
+    across: torch.Tensor
+    """Windows over blocks' widths, which differences of borders are told for, [varied, block]."""
+    changes: torch.Tensor
+    """Such differences, [varied, block, cell]."""
     cells: slice
-    """Cells that it takes."""
-    sizes: torch.Tensor
-    """Pixels along each block, float32, shape [block]."""
+    """Cells that they take."""
+    reach: tuple[np.ndarray, np.ndarray]
+    """First cell that each block takes, and that after the last."""
+
+    def part(self, blocks: slice) -> AxisWindows:
+        """Those of a part of the axis."""
+        if blocks == slice(0, self.means.shape[1]):
+            return self
+        first, last = (each[blocks] for each in self.reach)
+        cells = slice(int(first.min()), int(last.max()))
+        borders = slice(blocks.start, blocks.stop + 1)
+        return AxisWindows(
+            self.means[:, blocks, cells],
+            self.borders[:, borders, cells],
+            self.across[:, blocks],
+            self.changes[:, blocks, cells],
+            cells,
+            (first - cells.start, last - cells.start),
+        )
 
 
-@lru_cache(maxsize=512)
-def axis_window(
+@lru_cache(maxsize=64)
+def axis_windows(
     count: int,
-    sigma_px: float,
+    scales_px: tuple[float, ...],
+    varied_px: tuple[float, ...],
     block_px: int,
-    blocks: tuple[int, int],
     masked: bool,
     device: torch.device,
-) -> AxisWindow:
-    """Window of blocks of an axis of ``count`` pixels, from the first of ``blocks`` to before the
-    last; mirrored at the last pixels."""
+) -> AxisWindows:
+    """Windows of all blocks of an axis of ``count`` pixels, mirrored at the last ones; ``varied``
+    are those across which values vary. All take cells of one size (``cell_of``)."""
     import torch
 
-    whole = _block_weights(count, sigma_px, block_px)
-    first, last = blocks
-    means, borders = whole[0][first:last], whole[2 if masked else 1][first : last + 1]
-    taken = np.flatnonzero(means.any(axis=0) | borders.any(axis=0))
-    cells = slice(int(taken[0]), int(taken[-1]) + 1)
-    ends = np.minimum(np.arange(first, last + 1) * block_px, count)
-    found = (means[:, cells], borders[:, cells], np.diff(ends).astype(np.float32))
-    tensors = [torch.as_tensor(np.ascontiguousarray(each), device=device) for each in found]
-    return AxisWindow(tensors[0], tensors[1], cells, tensors[2])
+    whole = [_block_weights(count, scale, block_px) for scale in scales_px]
+    means = np.stack([each[0] for each in whole])
+    at = [scales_px.index(scale) for scale in varied_px]
+    borders = np.zeros((len(at), means.shape[1] + 1, means.shape[2]), np.float32)
+    for k, each in enumerate(at):
+        borders[k] = whole[each][2 if masked else 1]
+    ends = np.minimum(np.arange(means.shape[1] + 1) * block_px, count)
+    across = np.array(varied_px)[:, None] / np.diff(ends)
+    changes = np.diff(borders, axis=1) * across[..., None]
+    taken = (
+        means.any(axis=0) | (borders[:, 1:] != 0).any(axis=0) | (borders[:, :-1] != 0).any(axis=0)
+    )
+    cells = taken.shape[1]
+    reach = taken.argmax(axis=1), cells - taken[:, ::-1].argmax(axis=1)
+    tensors = (
+        torch.as_tensor(each.astype(np.float32), device=device)
+        for each in (means, borders, across, changes)
+    )
+    return AxisWindows(*tensors, slice(0, cells), reach)
 
 
 @lru_cache(maxsize=64)
