@@ -138,7 +138,9 @@ class LiveReader:
         """Why markers are not followed though the profile has some; empty otherwise."""
         if profile.markers is not None:
             try:
-                self.tracker = MarkerTracker(find_markers(background.astype(np.uint8)))
+                dots = self._judge.dots
+                rest = find_markers(background.astype(np.uint8)) if dots is None else dots.markers
+                self.tracker = MarkerTracker(rest)
             except InputError as error:
                 self.no_markers = str(error)
 

@@ -140,7 +140,7 @@ class PressPhoto:
             warnings.append("the contact reaches the image's border: its middle is less certain")
         return cls(
             path,
-            reader.lit(image).levels,
+            reader.with_dots(reader.lit(image)),
             seen.at_mm,
             seen.depth_mm,
             seen.at_error_mm,

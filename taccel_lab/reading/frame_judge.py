@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from taccel_lab.reading.common_gain import CommonGain, CommonGains
-from taccel_lab.reading.dots.marker_picture import DotMask
+from taccel_lab.reading.dots.dot_mask import DotMask, painted_over
 from taccel_lab.reading.light import LightDrift, LightFit
 from taccel_lab.reading.thumb import SmallImage
 from taccel_lab.reading.whole_frame import BrokenFrame, Seams, lost_rows
@@ -31,38 +31,37 @@ class FrameJudge:
             mask: Pixels that count, bool, shape [height_px, width_px]; dots do not in any case.
         """
         self.untouched = untouched.astype(np.float32)
-        self._mask, self._dots = mask, DotMask.of(self.untouched)
+        self.mask, self.dots = mask, DotMask.of(self.untouched)
+        self.bare = self.untouched
+        """The untouched image as it would be without dots, float32."""
+        if self.dots is not None:
+            self.bare = painted_over(self.untouched, self._counted(self.dots.at_rest))
         self.seams = Seams(self.untouched)
-        self._rest = _Rest(self.untouched, self._counted(self.untouched))
-        self.pattern = Pattern(self._rest.small)
-
-    def frame(self, image: np.ndarray) -> JudgedFrame:
-        """A frame of the untouched image's size, RGB levels."""
-        levels = image.astype(np.float32)
-        rest = self._rest
-        if self._dots is not None:
-            rest = _Rest(self.untouched, self._counted(levels))
-        return JudgedFrame(image, levels, rest.mask, self, rest)
-
-    def _counted(self, levels: np.ndarray) -> np.ndarray | None:
-        """Pixels of an image that count and that no dot covers, bool, [h, w]; None for all."""
-        return self._mask if self._dots is None else self._dots.uncovered(levels, self._mask)
-
-
-class _Rest:
-    """The untouched image's side of what is asked of a frame, over the pixels that count in it."""
-
-    def __init__(self, untouched: np.ndarray, mask: np.ndarray | None) -> None:
-        self.mask = mask
-        self.small = SmallImage.of(untouched, mask)
+        self.small = SmallImage.of(self.bare, mask)
+        self.pattern = Pattern(self.small)
 
     @cached_property
     def light(self) -> LightFit:
+        """Light of frames against the untouched image."""
         return LightFit(self.small)
 
     @cached_property
     def gains(self) -> CommonGains:
+        """Factors of all channels that are no touch."""
         return CommonGains(self.small)
+
+    def frame(self, image: np.ndarray) -> JudgedFrame:
+        """A frame of the untouched image's size, RGB levels."""
+        levels = image.astype(np.float32)
+        if self.dots is None:
+            return JudgedFrame(image, levels, self.mask, self)
+        counted = self._counted(self.dots.covered(levels))
+        levels -= self.untouched
+        return JudgedFrame(image, self.bare + painted_over(levels, counted), counted, self)
+
+    def _counted(self, covered: np.ndarray) -> np.ndarray:
+        """Pixels that count and that no dot covers, bool, [h, w]."""
+        return ~covered if self.mask is None else self.mask & ~covered
 
 
 @dataclass(frozen=True)
@@ -72,11 +71,10 @@ class JudgedFrame:
     image: np.ndarray
     """RGB levels as they came, shape [height_px, width_px, 3]."""
     levels: np.ndarray
-    """The same, float32."""
-    mask: np.ndarray | None
-    """Pixels that count, bool, [height_px, width_px]: those under dots do not; None for all."""
+    """The same, float32, where dots are as the gel around them."""
+    seen: np.ndarray | None
+    """Pixels that count and that no dot covers, bool, [height_px, width_px]; None for all."""
     _judge: FrameJudge
-    _rest: _Rest
 
     def with_levels(self, levels: np.ndarray) -> JudgedFrame:
         """The same frame with other levels, of its shape."""
@@ -85,28 +83,28 @@ class JudgedFrame:
     @cached_property
     def lost(self) -> BrokenFrame | None:
         """Rows or columns that the camera lost."""
-        return lost_rows(self.image, self._judge.untouched, self.mask)
+        return lost_rows(self.image, self._judge.untouched, self.seen)
 
     @cached_property
     def torn(self) -> BrokenFrame | None:
         """Rows or columns beyond a seam."""
-        return self._judge.seams.torn(self.levels, self.mask)
+        return self._judge.seams.torn(self.levels, self.seen)
 
     @cached_property
     def still(self) -> LightDrift:
         """The frame's light against the untouched image's if nothing touches."""
-        return self._rest.light.still(self._small)
+        return self._judge.light.still(self._small)
 
     @cached_property
     def pressed(self) -> LightDrift:
         """The same if something is pressed into the gel."""
-        return self._rest.light.press(self._small)
+        return self._judge.light.press(self._small)
 
     @cached_property
     def common(self) -> CommonGain | None:
         """A factor of all channels that is no touch."""
         small = self._small
-        return self._rest.gains.of(self.still.within(small).removed(small.levels))
+        return self._judge.gains.of(self.still.within(small).removed(small.levels))
 
     def fault(self) -> str:
         """Why it is not what the camera sees of the gel where it was, or nothing."""
@@ -132,12 +130,12 @@ class JudgedFrame:
 
     def foreign(self, light: LightDrift) -> str:
         """Why it is not of the untouched image's sensor, in its ``light``, or nothing."""
-        why = not_of(self._rest.small, self._small, light)
+        why = not_of(self._judge.small, self._small, light)
         return "" if why is None else f"is no image of the sensor that was calibrated: {why}"
 
     @cached_property
     def _small(self) -> SmallImage:
-        return SmallImage.of(self.levels, self.mask)
+        return SmallImage.of(self.levels, self._judge.mask)
 
     @cached_property
     def _shift(self) -> tuple[float, float] | None:

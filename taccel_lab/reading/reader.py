@@ -46,7 +46,8 @@ class LitImage:
     frame: JudgedFrame
     """The image as it came."""
     levels: np.ndarray
-    """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid."""
+    """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid, where
+    dots are as the gel around them."""
     light: LightDrift
     """Its own light against the untouched sensor's."""
     still: LightDrift
@@ -58,11 +59,6 @@ class LitImage:
     """What a coarse look saw of an image that shows no touch: there is no more to be read."""
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
-
-    @property
-    def mask(self) -> np.ndarray | None:
-        """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
-        return self.frame.mask
 
 
 class Reader:
@@ -114,6 +110,9 @@ class Reader:
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self.judge = FrameJudge(self.untouched, mask)
         """Tells frames that are not to be read, and their light."""
+        self._bare = self.background
+        if self.judge.dots is not None:
+            self._bare = self._day.remove(self.judge.bare).astype(np.float32)
         self.no_press, self._pressure = "", None
         """Why no pressure is read, a sentence."""
         try:
@@ -232,11 +231,22 @@ class Reader:
         """An image in the profile's light as the untouched sensor's own light shows it."""
         return self._day.apply(levels)
 
+    def with_dots(self, lit: LitImage) -> np.ndarray:
+        """Levels of an image in the profile's light, [height_px, width_px, 3], and its dots."""
+        if self.judge.dots is None:
+            return lit.levels
+        shown = lit.light.on(self._day).removed(lit.frame.image.astype(np.float32))
+        return (
+            shown
+            if lit.frame.seen is None
+            else np.where(lit.frame.seen[..., None], lit.levels, shown)
+        )
+
     def _look(self, lit: LitImage) -> tuple[bool, np.ndarray | None, ReadHeights | None]:
         """Whether a coarse look at an image shows a contact, the blocks where one may be
         (``LitImage.around``), and what it saw where there is none."""
         if self.response is not None:
-            rise_m = self.response.read(lit.levels, self.background, lit.mask).height_m
+            rise_m = self.response.read(lit.levels, self._bare, self.mask).height_m
             return touch_of(rise_m, None, self.grid).any, None, None
         found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
@@ -264,7 +274,7 @@ class Reader:
 
     def _by_depth(self, lit: LitImage, name: str) -> Reading:
         assert self.response is not None
-        found = self.response.read(lit.levels, self.background, lit.mask)
+        found = self.response.read(lit.levels, self._bare, self.mask)
         sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
         if sigma_m is not None and alone_m is not None:
             light_m = 1e-3 * grey_light_sigma_mm(
@@ -285,9 +295,9 @@ class Reader:
         return read_heights(
             self.normal_model,
             lit.levels,
-            self.background,
+            self._bare,
             self.grid,
-            mask=lit.mask,
+            mask=self.mask,
             rest_normals=self._rest_normals,
             around=lit.around,
             uncertainty=uncertainty,
@@ -300,7 +310,7 @@ class Reader:
             return self._untouched(lit, lit.seen, name)
         found = self._heights(lit, uncertainty=False)
         self.clock.begin("deviations")
-        found = with_deviations(found, self.normal_model.config, self.grid, lit.mask)
+        found = with_deviations(found, self.normal_model.config, self.grid, self.mask)
         read = found.normals
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
@@ -380,9 +390,7 @@ class Reader:
     @cached_property
     def _light_errors(self) -> LightErrors:
         assert self.normal_model is not None
-        return LightErrors(
-            self.normal_model, self.background, self.grid, self.mask, self._rest_normals
-        )
+        return LightErrors(self.normal_model, self._bare, self.grid, self.mask, self._rest_normals)
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

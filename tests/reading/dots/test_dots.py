@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.dots import marker_picture
 from taccel_lab.reading.dots import soft_ellipse as model
 from taccel_lab.reading.dots.detection import DotFlag
 from taccel_lab.reading.dots.marker_picture import (
-    DotMask,
     MarkerPicture,
     find_markers,
     marker_pitch_px,
@@ -178,32 +176,3 @@ def test_large_pictures_with_large_dots_are_no_harder() -> None:
     assert np.abs(error).max() < 0.1
     assert np.sqrt(((error / found.dots.sigma_px) ** 2).mean()) < 1.5
     assert np.median(found.dots.radius_px) == pytest.approx(45.0, abs=0.3)
-
-
-def test_dots_that_go_along_with_the_gel_stay_covered() -> None:
-    """The light around them is found on a picture made small for it."""
-    rng = np.random.default_rng(2)
-    light = vignette(np.full((HEIGHT, WIDTH, 3), 160.0), 0.4)
-
-    def gel(points: np.ndarray) -> np.ndarray:
-        shown = draw_dots(WIDTH, HEIGHT, points, 3.5) / 160.0
-        return (light * shown[..., None] + rng.normal(0, 1.5, light.shape)).astype(np.float32)
-
-    mask = DotMask.of(gel(GRID))
-    assert mask is not None
-    moved = GRID + (3.0, -2.0)
-    free = mask.uncovered(gel(moved))
-    v, u = np.indices(free.shape)
-    for points in (GRID, moved):
-        to_dot = np.hypot(u[..., None] - points[:, 0], v[..., None] - points[:, 1]).min(axis=-1)
-        assert not free[to_dot <= 4.0].any()
-    assert free.mean() > 0.55
-
-
-def test_dirt_is_not_searched_for_a_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spots that stand anyhow are none: a search among them takes seconds."""
-    rng = np.random.default_rng(3)
-    spots = rng.uniform((10, 10), (WIDTH - 10, HEIGHT - 10), (30, 2))
-    image = np.repeat(draw_dots(WIDTH, HEIGHT, spots, 3.0)[..., None], 3, axis=-1)
-    monkeypatch.setattr(marker_picture, "find_markers", None)
-    assert DotMask.of(image.astype(np.float32)) is None
