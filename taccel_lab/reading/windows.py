@@ -53,16 +53,16 @@ class AxisWindows:
     values vary, [varied, block + 1, cell]. Beyond an end of the axis a line goes on as between the
     last two pixels; where some pixels are masked, the value at an end is that of the last pixel."""
     across: torch.Tensor
-    """Windows over blocks' widths, which differences of borders are told for, [varied, block]."""
+    """Widths of windows over those of blocks, [varied, block]."""
     changes: torch.Tensor
-    """Such differences, [varied, block, cell]."""
+    """Differences of neighbouring borders, times ``across``, [varied, block, cell]."""
     cells: slice
     """Cells that they take."""
     reach: tuple[np.ndarray, np.ndarray]
-    """First cell that each block takes, and that after the last."""
+    """First cell of each block, and the one after its last."""
 
     def part(self, blocks: slice) -> AxisWindows:
-        """Those of a part of the axis."""
+        """Windows of the blocks of a part of the axis."""
         if blocks == slice(0, self.means.shape[1]):
             return self
         first, last = (each[blocks] for each in self.reach)
@@ -87,8 +87,8 @@ def axis_windows(
     masked: bool,
     device: torch.device,
 ) -> AxisWindows:
-    """Windows of all blocks of an axis of ``count`` pixels, mirrored at the last ones; ``varied``
-    are those across which values vary. All take cells of one size (``cell_of``)."""
+    """Windows of all blocks of an axis of ``count`` pixels, mirrored at the last ones; values vary
+    across ``varied_px``. All take cells of one size (``cell_of``)."""
     import torch
 
     whole = [_block_weights(count, scale, block_px) for scale in scales_px]
@@ -105,11 +105,11 @@ def axis_windows(
     )
     cells = taken.shape[1]
     reach = taken.argmax(axis=1), cells - taken[:, ::-1].argmax(axis=1)
-    tensors = (
+    means, borders, across, changes = (
         torch.as_tensor(each.astype(np.float32), device=device)
         for each in (means, borders, across, changes)
     )
-    return AxisWindows(*tensors, slice(0, cells), reach)
+    return AxisWindows(means, borders, across, changes, slice(0, cells), reach)
 
 
 @lru_cache(maxsize=64)
