@@ -175,20 +175,31 @@ def plane_of(height: torch.Tensor, zero: torch.Tensor) -> torch.Tensor:
     import torch
 
     rows, columns = height.shape[-2:]
-    like = {"dtype": height.dtype, "device": height.device}
-    u, v = torch.linspace(-1, 1, columns, **like), torch.linspace(-1, 1, rows, **like)[:, None]
-    share = zero.to(height.dtype) / zero.sum(dim=(-2, -1), keepdim=True)
-
-    def mean(values: torch.Tensor) -> torch.Tensor:
-        return map_totals(values * share)
-
-    across, down, off = u - mean(u.expand(rows, -1)), v - mean(v.expand(-1, columns)), mean(height)
-    left = height - off
-    uu = mean(across.square().expand_as(height)) + PLANE_PRIOR**2
-    vv = mean(down.square().expand_as(height)) + PLANE_PRIOR**2
-    uv, by_u, by_v = mean(across * down), mean(across * left), mean(down * left)
+    down, across = (_powers(count, height.dtype, height.device) for count in (rows, columns))
+    rests = zero.to(height.dtype)
+    rests = rests / rests.sum(dim=(-2, -1), keepdim=True)
+    # Means over resting pixels of 1, u, u^2 times 1, v, v^2, and the same times the height.
+    place = down.mT @ (rests @ across)
+    high = down[:, :2].mT @ ((height * rests) @ across[:, :2])
+    u, v, off = place[..., 0, 1], place[..., 1, 0], high[..., 0, 0]
+    uu = place[..., 0, 2] - u.square() + PLANE_PRIOR**2
+    vv = place[..., 2, 0] - v.square() + PLANE_PRIOR**2
+    uv = place[..., 1, 1] - u * v
+    by_u, by_v = high[..., 0, 1] - u * off, high[..., 1, 0] - v * off
     size = uu * vv - uv.square()
-    return off + ((vv * by_u - uv * by_v) * across + (uu * by_v - uv * by_u) * down) / size
+    right, below = (vv * by_u - uv * by_v) / size, (uu * by_v - uv * by_u) / size
+    level = off - right * u - below * v
+    along = (level[..., None] + below[..., None] * down[:, 1])[..., None]
+    return along + right[..., None, None] * across[:, 1]
+
+
+@lru_cache(maxsize=32)
+def _powers(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """1, u and u^2 of the places u of an axis's pixels, -1 to 1, shape [count, 3]."""
+    import torch
+
+    place = torch.linspace(-1, 1, count, dtype=dtype, device=device)
+    return torch.stack([torch.ones_like(place), place, place.square()], dim=-1)
 
 
 def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> torch.Tensor:
