@@ -32,6 +32,8 @@ from taccel_lab.reading.windows import halved
 if TYPE_CHECKING:
     import torch
 
+    from taccel_lab.reading.room import Room
+
 LARGEST_PX = 8
 """Pixels along the largest blocks."""
 FINEST_CELL_PX = 2
@@ -113,6 +115,48 @@ def read_in_blocks(
         patch, flags = finer
         patches.append(patch)
     return patches
+
+
+def read_in_room(
+    windows: FeatureWindows,
+    answer: Answer,
+    slopes: Callable[[torch.Tensor], torch.Tensor],
+    around: torch.Tensor | None,
+    here: Room,
+) -> torch.Tensor:
+    """What ``painted`` makes of ``read_in_blocks`` for each image by itself, in sizes that do not
+    follow the images: smaller blocks are picked into as many places as there is room for, and maps
+    are of whole images, whose parts are told by where flags are set."""
+    import torch
+
+    from taccel_lab.reading.fixed_kernels import painted_parts, spans_of
+
+    blocks = windows.sparse(LARGEST_PX)
+    maps = [answer(blocks, None).unflatten(1, blocks.shape)]
+    uneven, size, spans = _uneven(windows), LARGEST_PX, []
+    flags, limit = around, None
+    while size > 1:
+        bend = _bend(slopes(maps[-1][:2]))
+        limit = _limit(bend, BEND) if limit is None else limit
+        masked = _any_masked(windows, size)
+        beside = _widened(bend > limit if masked is None else (bend > limit) | masked)
+        beside |= uneven[size]
+        flags = beside if flags is None else beside & flags
+        spans.append(flags)
+        size //= 2
+        height, width = windows.count(size)
+        flags = _doubled(flags)[..., :height, :width]
+        picked = flags if windows.mask is None else flags & _any(windows.mask, size)
+        # What is picked past the last block goes to one more place, which nobody reads.
+        most = picked.numel()
+        found = maps[-1].new_empty((len(maps[-1]), most + 1))
+        lines = found[:, :most].unflatten(1, flags.shape)
+        lines.copy_(enlarged(maps[-1], 2)[..., :height, :width])
+        wanted = here.size(f"blocks of {size} px", picked.sum(), most)
+        at = torch.nonzero_static(picked.flatten(), size=wanted, fill_value=most)[:, 0]
+        found.index_copy_(1, at, answer(windows.sparse(size), at))
+        maps.append(lines)
+    return painted_parts(maps, spans_of(spans), windows.size[1:])
 
 
 def _finer(
@@ -267,6 +311,20 @@ class TiltsAtRest:
         count = -(-config.height_px // block_px) * -(-config.width_px // block_px)
         self._tilts = torch.zeros((config.members, count, 2), device=device)
         self._asked = torch.zeros(count, dtype=torch.bool, device=device)
+        self._whole = False
+
+    def of_all(
+        self, known: torch.Tensor, varying: int, ask: Callable[[torch.Tensor], torch.Tensor]
+    ) -> None:
+        """Ask for all places by what they know (``Blocks.known``), besides ``varying`` features of
+        a change."""
+        import torch
+
+        if not self._whole:
+            flat = known.flatten(1)
+            self._tilts = ask(torch.cat([flat.new_zeros((varying, flat.shape[1])), flat]))
+            self._asked.fill_(True)
+            self._whole = True
 
     def at(
         self,
@@ -276,6 +334,8 @@ class TiltsAtRest:
     ) -> torch.Tensor:
         """Tilts of places [n], shape [member, n, 2]; ``ask`` gives those of features [feature, n],
         which belong to the places."""
+        if self._whole:
+            return self._tilts.index_select(1, places)
         new = (~self._asked[places]).nonzero()[:, 0]
         if len(new):
             self._tilts[:, places[new]] = ask(features.index_select(1, new))

@@ -19,6 +19,7 @@ import numpy as np
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import encode_position
+from taccel_lab.reading.room import room
 from taccel_lab.reading.windows import axis_windows, cell_of, halved
 from taccel_lab.signals.tensors import Array, as_given, tensor_of
 
@@ -140,6 +141,27 @@ class Blocks:
         return torch.cat([changing.index_select(1, picked), known.index_select(1, place)])
 
 
+@dataclass(frozen=True)
+class SparseBlocks(Blocks):
+    """Blocks of whole images whose features are found one by one, where few are picked: there are
+    no maps of all (``changing`` has a shape, but no values)."""
+
+    windows: FeatureWindows
+
+    def features(self, picked: torch.Tensor | None = None) -> torch.Tensor:
+        """The same; what is picked past the last block stands for none, and its features are
+        any."""
+        import torch
+
+        from taccel_lab.reading.fixed_kernels import windows_of_blocks
+
+        known = self.known.flatten(1)
+        if picked is None:
+            picked = torch.arange(self.shape.numel(), device=known.device)
+        changing = windows_of_blocks(self.windows, self.block_px, picked)
+        return torch.cat([changing, known.index_select(1, picked % known.shape[1])])
+
+
 class FeatureWindows:
     """Windows of the changes of one or several images, for blocks of any size."""
 
@@ -156,12 +178,13 @@ class FeatureWindows:
     ) -> None:
         """Windows of changes [levels] of shape [image, h, w, 3]; ``place`` tells what blocks of so
         many pixels know of theirs, shape [n, h, w]; the rest as of ``local_features``."""
-        self.mask = None if mask is None or bool(mask.all()) else mask
+        here = room() is None
+        self.mask = None if mask is None or (here and bool(mask.all())) else mask
         kept = None if self.mask is None else self.mask[..., None]
         units = change.float() / LEVELS_PER_UNIT
         self._units = units if kept is None else units.where(kept, 0.0)
-        self._scales = tuple(scale * zoom for scale in scales_px)
-        self._slopes = tuple(scale * zoom for scale in slope_scales_px)
+        self.scales = tuple(scale * zoom for scale in scales_px)
+        self.varied = tuple(scale * zoom for scale in slope_scales_px)
         self._place, self._under = place, None
         if background is not None:
             widest = max([*scales_px, *slope_scales_px])
@@ -169,9 +192,15 @@ class FeatureWindows:
         self._cells: dict[int, torch.Tensor] = {}
         self._kept: dict[int, torch.Tensor] = {}
 
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Images, rows and columns of pixels."""
+        images, height, width, _ = self._units.shape
+        return images, height, width
+
     def count(self, block_px: int) -> tuple[int, int]:
         """Rows and columns of blocks."""
-        _, height, width, _ = self._units.shape
+        _, height, width = self.size
         return -(-height // block_px), -(-width // block_px)
 
     def cells(self, cell_px: int) -> torch.Tensor:
@@ -217,21 +246,37 @@ class FeatureWindows:
             if scales == (0.0,) and self.mask is None:
                 means[0.0] = self.cells(block_px)[..., rows, columns]
                 continue
-            varied = tuple(scale for scale in scales if scale in self._slopes)
+            varied = tuple(scale for scale in scales if scale in self.varied)
             found, along = self._windowed(scales, varied, block_px, rows, columns)
             means |= zip(scales, found, strict=True)
             changes |= zip(varied, along, strict=True)
+        parts = [means[scale] for scale in self.scales]
+        changing = torch.cat([*parts, *(changes[scale] for scale in self.varied)])
+        return Blocks(block_px, rows, columns, changing, self._known(block_px, rows, columns))
+
+    def sparse(self, block_px: int) -> SparseBlocks:
+        """All blocks of so many pixels, of which few are picked."""
+        import torch
+
+        rows, columns = (slice(0, count) for count in self.count(block_px))
+        features = 3 * len(self.scales) + 6 * len(self.varied)
+        shape = features, self.size[0], rows.stop, columns.stop
+        known = self._known(block_px, rows, columns)
+        empty = torch.empty(shape, device="meta")
+        return SparseBlocks(block_px, rows, columns, empty, known, self)
+
+    def _known(self, block_px: int, rows: slice, columns: slice) -> torch.Tensor:
+        import torch
+
         known = self._place(block_px)[:, rows, columns]
-        if self._under is not None:
-            known = torch.cat([self._under.blocks(block_px, rows, columns).changing[:, 0], known])
-        parts = [means[scale] for scale in self._scales]
-        changing = torch.cat([*parts, *(changes[scale] for scale in self._slopes)])
-        return Blocks(block_px, rows, columns, changing, known)
+        if self._under is None:
+            return known
+        return torch.cat([self._under.blocks(block_px, rows, columns).changing[:, 0], known])
 
     def _alike(self, block_px: int) -> list[tuple[float, ...]]:
         """Windows that take cells of the same size."""
         found: dict[tuple[int, bool], list[float]] = {}
-        for scale in sorted({*self._scales, *self._slopes}):
+        for scale in sorted({*self.scales, *self.varied}):
             found.setdefault((cell_of(scale, block_px), scale > 0), []).append(scale)
         return [tuple(scales) for scales in found.values()]
 
@@ -304,11 +349,13 @@ def place_of_blocks(place: Any, block_px: int) -> torch.Tensor:
     return found
 
 
-def of_blocks(values: np.ndarray, block_px: int) -> np.ndarray:
+def of_blocks(values: Array, block_px: int) -> Array:
     """Means of a map, shape [h, w] or [h, w, n], over blocks of so many pixels."""
-    whole = values if values.ndim == 3 else values[..., None]
-    found = place_of_blocks(whole.astype(np.float32), block_px).movedim(0, -1).numpy()
-    return found if values.ndim == 3 else found[..., 0]
+    import torch
+
+    whole = tensor_of(values, torch.float32)
+    found = place_of_blocks(whole if whole.ndim == 3 else whole[..., None], block_px)
+    return as_given(found.movedim(0, -1) if whole.ndim == 3 else found[0], values)
 
 
 def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:

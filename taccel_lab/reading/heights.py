@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
@@ -15,6 +14,7 @@ from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.deviations import HeightUncertainty
 from taccel_lab.reading.features import of_blocks
+from taccel_lab.reading.room import room
 from taccel_lab.reading.slope_integration import height_from_slopes, plane_of, with_detail
 from taccel_lab.reading.slopes import NormalMap, NormalModel
 from taccel_lab.reading.windows import halved
@@ -54,7 +54,7 @@ class ReadHeights(Generic[Array]):
 def read_heights(
     model: NormalModel,
     image: Array,
-    background: np.ndarray,
+    background: np.ndarray | torch.Tensor,
     grid: PixelGrid,
     *,
     mask: np.ndarray | None = None,
@@ -83,40 +83,77 @@ def read_heights(
     """
     import torch
 
-    if model.device == "cpu" and image.ndim > 3 and len(image):
+    options = _Options(model, grid, left_out, uncertainty, coarse)
+    given = mask, rest_normals, around
+    if model.device == "cpu" and image.ndim > 3 and len(image) and room() is None:
         # Sums and products round by how much there is at once, which saves no time here.
-        of = partial(
-            read_heights, mask=mask, rest_normals=rest_normals, left_out=left_out,
-            uncertainty=uncertainty, around=around, coarse=coarse,
+        each = tensor_of(image).flatten(0, -4)
+        alone = [options.read(one, background, *given) for one in each]
+        found = _joined(alone, lambda maps: torch.stack(maps).unflatten(0, image.shape[:-3]))
+    elif model.device == "cpu" or not len(image):
+        found = options.read(torch.as_tensor(image, device=model.device), background, *given)
+    else:
+        found = options.recorded(image, background, *given)
+    return _joined([found], lambda parts: as_given(parts[0], image))
+
+
+@dataclass(frozen=True)
+class _Options:
+    """How images are read (``read_heights``)."""
+
+    model: NormalModel
+    grid: PixelGrid
+    left_out: int | None
+    uncertainty: bool
+    coarse: bool
+
+    def read(
+        self, image: torch.Tensor, background: Any, mask: Any, rest_normals: Any, around: Any
+    ) -> ReadHeights[torch.Tensor]:
+        """Read images of the model's device, all at once."""
+        found = self.model.predict(
+            image, background, mask=mask, rest_normals=rest_normals, left_out=self.left_out,
+            around=around, coarse=self.coarse,
         )  # fmt: skip
-        return _stacked([of(model, each, background, grid) for each in image])
-    found = model.predict(
-        torch.as_tensor(image, device=model.device),
-        background, mask=mask, rest_normals=rest_normals, left_out=left_out, around=around,
-        coarse=coarse,
-    )  # fmt: skip
-    every = LARGEST_PX if coarse else 1
-    grid = grid.thinned(every)
-    mask = None if mask is None else of_blocks(mask, every) > 0.5
-    slope = found.slopes()
-    if rest_normals is not None:
-        # The change of height from rest is integrated: on a curved gel the rest is known already.
-        rest = tensor_of(of_blocks(rest_normals, every), like=slope)
-        slope = slope + rest[..., :2] / rest[..., 2:]
-    step = 1 if coarse else CELL_PX
-    zero = resting_border(found, mask, step)
-    rise = risen(slope, grid, zero, mask, step, None if coarse else _span(around))
-    zero = zero.repeat_interleave(step, dim=-1).repeat_interleave(step, dim=-2)
-    zero = zero[..., : grid.height_px, : grid.width_px]
-    read = ReadHeights(
-        found.like(image),
-        as_given(slope, image),
-        as_given(rise, image),
-        as_given(zero, image),
-        None,
-        None,
-    )
-    return with_deviations(read, model.config, grid, mask, every) if uncertainty else read
+        every = LARGEST_PX if self.coarse else 1
+        grid = self.grid.thinned(every)
+        mask = None if mask is None else of_blocks(mask, every) > 0.5
+        slope = found.slopes()
+        if rest_normals is not None:
+            # The change of height from rest is integrated: a curved gel's rest is known already.
+            rest = tensor_of(of_blocks(rest_normals, every), like=slope)
+            slope = slope + rest[..., :2] / rest[..., 2:]
+        step = 1 if self.coarse else CELL_PX
+        zero = resting_border(found, mask, step)
+        # Sizes of a recording do not follow what is touched; all pixels cost a GPU little.
+        whole = self.coarse or around is None or room() is not None
+        rise = risen(slope, grid, zero, mask, step, None if whole else _span(around))
+        zero = zero.repeat_interleave(step, dim=-1).repeat_interleave(step, dim=-2)
+        zero = zero[..., : grid.height_px, : grid.width_px]
+        read = ReadHeights(found, slope, rise, zero, None, None)
+        config = self.model.config
+        return with_deviations(read, config, grid, mask, every) if self.uncertainty else read
+
+    def recorded(
+        self, image: Any, background: Any, mask: Any, rest_normals: Any, around: Any
+    ) -> ReadHeights[torch.Tensor]:
+        """Read images by a recording (``recorded``)."""
+        import torch
+
+        from taccel_lab.reading.recorded import replayed
+
+        if mask is not None and mask.all():
+            mask = None
+        kinds = (None, torch.float32, torch.bool, None, torch.bool)
+        values = (image, background, mask, rest_normals, around)
+        return replayed(
+            self.model.recordings,
+            (self.grid, self.left_out, self.uncertainty, self.coarse),
+            lambda inputs: self.read(*inputs),
+            [v if v is None else tensor_of(v, kind) for v, kind in zip(values, kinds, strict=True)],
+            self.model.device,
+            lambda found: _joined([found], lambda parts: parts[0].clone()),
+        )
 
 
 def risen(
@@ -191,17 +228,13 @@ def _cell_means(values: torch.Tensor, cell_px: int) -> torch.Tensor:
     return values
 
 
-def _stacked(parts: Sequence[Any]) -> Any:
-    """Readings, maps or what is not known of several images, along a new first axis."""
-    import torch
-
+def _joined(parts: Sequence[Any], join: Callable[[list[Any]], Any]) -> Any:
+    """Readings of several images as one, whose maps ``join`` makes of theirs."""
     first = parts[0]
     if isinstance(first, (ReadHeights, NormalMap)):
         names = [field.name for field in fields(first)]
-        return replace(first, **{n: _stacked([getattr(one, n) for one in parts]) for n in names})
-    if first is None:
-        return None
-    return np.stack(parts) if isinstance(first, np.ndarray) else torch.stack(list(parts))
+        return replace(first, **{n: _joined([getattr(x, n) for x in parts], join) for n in names})
+    return None if first is None else join(list(parts))
 
 
 def on_pixels(maps: Sequence[np.ndarray], shape: tuple[int, int]) -> list[np.ndarray]:

@@ -16,17 +16,24 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import checked_weights
-from taccel_lab.reading.blocks import LARGEST_PX, painted, read_in_blocks, tilts_at_rest
+from taccel_lab.reading.blocks import (
+    LARGEST_PX,
+    painted,
+    read_in_blocks,
+    read_in_room,
+    tilts_at_rest,
+)
 from taccel_lab.reading.features import (
     Blocks,
     FeatureWindows,
@@ -34,6 +41,7 @@ from taccel_lab.reading.features import (
     pixel_place,
     place_of_blocks,
 )
+from taccel_lab.reading.room import room
 from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.tensors import (
     Array,
@@ -118,6 +126,8 @@ class NormalModel:
         require_device(device)
         self.config, self.device = config, device
         self.weights = checked_weights("normal model", config.weight_shapes(), weights)
+        self.recordings: OrderedDict[Hashable, Any] = OrderedDict()
+        """What readings on a GPU keep from one to the next (``recorded``)."""
 
     @classmethod
     def from_profile(cls, profile: SensorProfile, device: str = "cpu") -> NormalModel:
@@ -189,11 +199,15 @@ class NormalModel:
             def answer(blocks: Blocks, picked: torch.Tensor | None) -> torch.Tensor:
                 return self._answer(blocks, picked, left_out)
 
-            near = None if around is None else tensor_of(around, like=on)
+            near, here = None if around is None else tensor_of(around, like=on), room()
             if coarse:
-                near = torch.zeros(windows.count(LARGEST_PX), dtype=torch.bool)
-            patches = read_in_blocks(windows, answer, _lean_slopes, near)
-            read = patches[0].values if coarse else painted(patches, shape[:2])
+                seen = windows.blocks if here is None else windows.sparse
+                blocks = seen(LARGEST_PX)
+                read = answer(blocks, None).unflatten(1, blocks.shape)
+            elif here is None:
+                read = painted(read_in_blocks(windows, answer, _lean_slopes, near), shape[:2])
+            else:
+                read = read_in_room(windows, answer, _lean_slopes, near, here)
             # Lines that go on beyond the outermost blocks may fall below any error there is.
             least = self.config.error_factor * MIN_ERROR_RAD
             tilt, error = read[:2].movedim(0, -1), read[2].clamp(min=least)
@@ -211,10 +225,9 @@ class NormalModel:
                 normals = rotate_from_z(normals, tensor_of(rest, tilt.dtype, on))
             sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
             if self.config.presses_px:
-                away = self.config.away(LARGEST_PX if coarse else 1)
-                away = tensor_of(away, sigma_deg.dtype, on)
+                away = _away(self.config, LARGEST_PX if coarse else 1, on.device)
                 lean_deg = torch.rad2deg(length2(tilt)).to(sigma_deg.dtype)
-                sigma_deg = torch.hypot(sigma_deg, (away / AWAY) ** 2 * lean_deg)
+                sigma_deg = torch.hypot(sigma_deg, away * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
         return found.like(image)
 
@@ -254,6 +267,8 @@ class NormalModel:
             columns = -(-self.config.width_px // blocks.block_px)
             place = (blocks.rows.start + row) * columns + blocks.columns.start + column
             at_rest = tilts_at_rest(self.config, self._digest, blocks.block_px, self.device)
+            if room() is not None:
+                at_rest.of_all(blocks.known, self.config.varying_count, self._still)
             still = at_rest.at(place, features, self._still)
         tilt, error = self._judged(self._outputs(features), still, left_out)
         return torch.cat([tilt.T, error[None]])
@@ -292,15 +307,16 @@ class NormalModel:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of what members give, [member, n,
         3], now and at rest; ``left_out`` as in ``predict``."""
-        reading, others = list(range(self.config.members)), list(range(self.config.members))
-        if left_out is not None:
-            reading = [left_out]
-            others.remove(left_out)
+        import torch
+
         tilts, errors = outputs[..., :2] - still, expected_error(outputs)
-        agreed = tilts[others].mean(dim=0)
-        spread2 = (tilts[others] - agreed).square().sum(dim=-1).mean(dim=0)
-        own = self.config.error_factor * errors[reading].mean(dim=0)
-        return tilts[reading].mean(dim=0), (own.square() + spread2).sqrt()
+        others = reading = tilts
+        if left_out is not None:
+            others = torch.cat([tilts[:left_out], tilts[left_out + 1 :]])
+            reading, errors = (values[left_out : left_out + 1] for values in (tilts, errors))
+        spread2 = (others - others.mean(dim=0)).square().sum(dim=-1).mean(dim=0)
+        own = self.config.error_factor * errors.mean(dim=0)
+        return reading.mean(dim=0), (own.square() + spread2).sqrt()
 
     def predict_pixels(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature]."""
@@ -332,6 +348,15 @@ def _place(
 ) -> torch.Tensor:
     """Places of blocks (``pixel_place``), shape [n, h, w]."""
     return place_of_blocks(pixel_place(width_px, height_px, bands), block_px).to(device)
+
+
+@lru_cache(maxsize=16)
+def _away(config: NormalModelConfig, block_px: int, device: torch.device) -> torch.Tensor:
+    """Parts of their tilt that blocks may be off by, by where they are, float32, shape [h, w]."""
+    import torch
+
+    away = tensor_of(config.away(block_px), torch.float32) / AWAY
+    return away.square().to(device)
 
 
 def expected_error(outputs: torch.Tensor) -> torch.Tensor:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 CUT_SIGMAS = 3.0
 """A window ends here."""
 LARGEST_CELL_PX = 16
+NOTHING = 1e-9
+"""Weight of a cell that a window does not reach, but for rounding."""
 
 
 def cell_of(sigma_px: float, block_px: int) -> int:
@@ -110,6 +112,47 @@ def axis_windows(
         for each in (means, borders, across, changes)
     )
     return AxisWindows(means, borders, across, changes, slice(0, cells), reach)
+
+
+@dataclass(frozen=True)
+class AxisTaps:
+    """Windows along one axis by the few cells that each block takes."""
+
+    count: torch.Tensor
+    """Cells that the blocks of each window take, int32, shape [window]."""
+    first: torch.Tensor
+    """First one of them, int32, shape [window, block]."""
+    weights: torch.Tensor
+    """Their weights in a block's average, and in the values at both its borders, float32, shape
+    [window, 3, block, cell]."""
+
+
+@lru_cache(maxsize=32)
+def axis_taps(
+    count: int, scales_px: tuple[float, ...], block_px: int, masked: bool, device: torch.device
+) -> AxisTaps:
+    """Windows of all blocks of an axis of ``count`` pixels."""
+    import torch
+
+    found = []
+    for scale in scales_px:
+        whole = _block_weights(count, scale, block_px)
+        borders = whole[2 if masked else 1]
+        weights = np.stack([whole[0], borders[:-1], borders[1:]])
+        taken = np.any(np.abs(weights) > NOTHING, axis=0)
+        cells = taken.shape[1]
+        first = taken.argmax(axis=1)
+        taps = int((cells - taken[:, ::-1].argmax(axis=1) - first).max())
+        first = np.minimum(first, cells - taps)
+        places = np.broadcast_to(first[:, None] + np.arange(taps), (3, len(first), taps))
+        found.append((taps, first, np.take_along_axis(weights, places, axis=2)))
+    most = max(taps for taps, _, _ in found)
+    weights = [np.pad(each, [(0, 0), (0, 0), (0, most - taps)]) for taps, _, each in found]
+    return AxisTaps(
+        torch.tensor([taps for taps, _, _ in found], dtype=torch.int32, device=device),
+        torch.tensor(np.stack([first for _, first, _ in found]), dtype=torch.int32, device=device),
+        torch.tensor(np.stack(weights), device=device),
+    )
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of fixed sizes: the same as those that follow the image, recorded or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.features import FeatureWindows
+from taccel_lab.reading.fixed_kernels import windows_of_blocks
+from taccel_lab.reading.heights import ReadHeights, read_heights
+from taccel_lab.reading.room import STEP, Room, require
+from taccel_lab.reading.slope_integration import height_from_slopes
+from taccel_lab.reading.slopes import NormalModel
+from tests.networks.weights import random_weights
+from tests.reading.test_slopes import WIDE, WIDE_GRID, dented
+
+MODEL = replace(
+    WIDE, height_factor=1.0, error_length_px=8.0, depth_share=0.1, presses_px=(110.0, 70.0, 30.0)
+)
+needs_gpu = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device"),
+]
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+def model(device: str = "cpu") -> NormalModel:
+    return NormalModel(MODEL, random_weights(MODEL, spread=0.3), device)
+
+
+def images() -> tuple[np.ndarray, np.ndarray]:
+    """A dented image, one of nothing, another dent; and the background."""
+    (first, still), (other, its) = dented(1), dented(2)
+    return np.stack([first, still, other - its + still]), still
+
+
+def holes() -> np.ndarray:
+    v, u = np.mgrid[:178, :241]
+    return ((np.abs(u - 100) > 6) | (np.abs(v - 80) > 9)) & (u + v > 4)
+
+
+def assert_alike(found: ReadHeights, known: ReadHeights) -> None:
+    """To rounding, of slopes of 1 and of heights of some 1.5 mm."""
+    for name, most in (("slope", 2e-5), ("rise_m", 1e-9), ("sigma_m", 2e-8), ("zero", 0.5)):
+        values = torch.as_tensor(getattr(found, name)).double().cpu()
+        np.testing.assert_allclose(values, getattr(known, name), rtol=0, atol=most)
+    assert np.abs(np.asarray(known.rise_m)).max() > 5e-4
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("masked", [False, True])
+def test_fixed_sizes_read_what_sizes_of_each_image_do(masked: bool):
+    """Also where the first images ask for less than later ones, and whatever there is room for."""
+    (shown, still), mask = images(), holes() if masked else None
+    known = read_heights(model(), shown, still, WIDE_GRID, mask=mask)
+    reading, room = model(), Room()
+
+    def read(given: np.ndarray) -> tuple[ReadHeights, bool]:
+        with room.entered():
+            found = read_heights(reading, torch.from_numpy(given), still, WIDE_GRID, mask=mask)
+        return found, room.enough(room.asked().tolist())
+
+    assert read(np.stack([still] * 3))[1]
+    least = room.known("blocks of 1 px") or 0
+    assert least == STEP or (masked and least)
+    tries = [read(shown) for _ in range(12)]
+    assert not tries[0][1] and tries[-1][1]
+    assert (room.known("blocks of 1 px") or 0) > least
+    found = tries[-1][0]
+    assert_alike(found, known)
+    # More room changes nothing.
+    room.needs("blocks of 2 px", torch.tensor(0), 10**6, 30000)
+    more, enough = read(shown)
+    assert enough and torch.equal(more.rise_m, found.rise_m)
+    assert np.array_equal(np.asarray(more.sigma_m), np.asarray(found.sigma_m))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("block_px", [8, 2, 1])
+def test_windows_of_picked_blocks_are_those_of_all(block_px: int, masked: bool):
+    change = torch.from_numpy(np.random.default_rng(3).normal(0, 40, (2, 45, 62, 3)))
+    mask = torch.ones((45, 62), dtype=torch.bool)
+    mask[10:22, :30] = not masked
+    scales, varied = (0.0, 0.7, 1.5, 3.1, 6.2), (1.5, 3.1, 9.0)
+    maps = FeatureWindows(
+        change, scales, varied, lambda px: torch.zeros(0, *maps.count(px)), mask=mask
+    )
+    known = maps.blocks(block_px).changing.flatten(1)
+    picked = torch.arange(known.shape[1]).flip(0)
+    found = windows_of_blocks(maps, block_px, picked)
+    np.testing.assert_allclose(found.flip(1), known, atol=3e-6)
+
+
+def test_faults_of_input_are_kept_until_a_result_is_asked_for():
+    """As they are told at once where sizes follow the image."""
+    slope, grid, room = np.full((9, 9, 2), np.nan), PixelGrid(9, 9, 1.0, 1.0), Room()
+    with pytest.raises(InputError, match="NaN"):
+        height_from_slopes(slope, grid)
+    with room.entered():
+        height_from_slopes(slope, grid)
+        require(torch.tensor([True]), lambda: "nothing")
+    with pytest.raises(InputError, match="NaN"):
+        room.enough(room.asked().tolist())
+
+
+class TestOnGpu:
+    pytestmark = needs_gpu
+
+    @pytest.mark.parametrize("options", [{}, {"mask": holes()}, {"coarse": True}])
+    def test_a_recording_reads_what_a_cpu_does(self, options):
+        shown, still = images()
+        known = read_heights(model(), shown, still, WIDE_GRID, **options)
+        reading = model("cuda:0")
+        nothing = np.stack([still] * 3)
+        before = read_heights(reading, nothing, still, WIDE_GRID, **options)
+        assert np.abs(before.slope).max() < 1e-6
+        assert_alike(read_heights(reading, shown, still, WIDE_GRID, **options), known)
+        assert len(reading.recordings) == 1
+
+    def test_a_recording_gives_the_bits_of_what_it_recorded(self):
+        shown, still = images()
+        reading = model("cuda:0")
+        given = torch.from_numpy(shown).cuda()
+        found = read_heights(reading, given, torch.from_numpy(still).cuda(), WIDE_GRID)
+        (recording,) = reading.recordings.values()
+        again = recording.unrecorded([given, torch.from_numpy(still), None, None, None])
+        assert found.rise_m.is_cuda and found.sigma_m is not None
+        for name in ("slope", "rise_m", "zero", "sigma_m", "reading_sigma_m"):
+            assert torch.equal(getattr(found, name), getattr(again, name)), name
+        # Results stay when others are read.
+        kept = found.rise_m.clone()
+        read_heights(reading, given.flip(0), torch.from_numpy(still).cuda(), WIDE_GRID)
+        assert torch.equal(kept, found.rise_m)
+
+    def test_images_of_a_batch_read_as_alone(self):
+        shown, still = images()
+        reading = model("cuda:0")
+        together = read_heights(reading, shown, still, WIDE_GRID)
+        for k, image in enumerate(shown):
+            alone = read_heights(reading, image, still, WIDE_GRID)
+            np.testing.assert_allclose(together.rise_m[k], alone.rise_m, rtol=0, atol=1e-9)
+            sigma = np.asarray(together.sigma_m)[k]
+            np.testing.assert_allclose(sigma, np.asarray(alone.sigma_m), rtol=0, atol=2e-8)
