@@ -17,7 +17,16 @@ from taccel_lab.reading.dots.dot_mask import DotMask, painted_over
 from taccel_lab.reading.light import LightDrift, LightFit
 from taccel_lab.reading.thumb import SmallImage
 from taccel_lab.reading.whole_frame import BrokenFrame, Seams, lost_rows
-from taccel_lab.reading.whose import Pattern, not_of
+from taccel_lab.reading.whose import (
+    FINE_PX,
+    FINE_SHARE,
+    ITS_OWN,
+    LEAST_GAIN,
+    MOST_GAIN,
+    UNEXPLAINED_LEVELS,
+    Pattern,
+    not_of,
+)
 
 
 class FrameJudge:
@@ -44,6 +53,12 @@ class FrameJudge:
     def light(self) -> LightFit:
         """Light of frames against the untouched image."""
         return LightFit(self.small)
+
+    @cached_property
+    def fine(self) -> Pattern | None:
+        """The gel's finest pattern; None where the untouched image shows none."""
+        found = Pattern(SmallImage.of(self.bare, self.mask, FINE_PX), FINE_SHARE)
+        return found if found.is_clear else None
 
     @cached_property
     def gains(self) -> CommonGains:
@@ -115,9 +130,9 @@ class JudgedFrame:
         if torn is None and shift is None:
             return ""
         # An image of another sensor has seams against the background, too.
-        foreign = self.foreign(self.pressed)
-        if foreign:
-            return foreign
+        elsewhere = self._of_no_press(self.pressed)
+        if elsewhere:
+            return elsewhere
         if torn is not None and (shift is None or torn.last - torn.first >= max(map(abs, shift))):
             return str(torn)
         assert shift is not None
@@ -130,8 +145,28 @@ class JudgedFrame:
 
     def foreign(self, light: LightDrift) -> str:
         """Why it is not of the untouched image's sensor, in its ``light``, or nothing."""
+        why = self._of_no_press(light)
+        if why or not self._is_other_gel:
+            return why
+        return (
+            "shows another gel than the background: nothing of the fine pattern (grain, dust) of "
+            "the one is in the other, and their light differs all over; give an image of this gel, "
+            "untouched (--background)"
+        )
+
+    def _of_no_press(self, light: LightDrift) -> str:
+        """Why no press on the untouched image's sensor looks so, or nothing."""
         why = not_of(self._judge.small, self._small, light)
         return "" if why is None else f"is no image of the sensor that was calibrated: {why}"
+
+    @cached_property
+    def _is_other_gel(self) -> bool:
+        """Whether the gel's finest pattern is another one, where the light leaves that open."""
+        if self.still.noise_levels < UNEXPLAINED_LEVELS or self._judge.fine is None:
+            return False
+        small = SmallImage.of(self.levels, self._judge.mask, FINE_PX)
+        alike = self._judge.fine.agreement(small, self._gain)
+        return alike is not None and alike < ITS_OWN
 
     @cached_property
     def _small(self) -> SmallImage:
@@ -139,5 +174,8 @@ class JudgedFrame:
 
     @cached_property
     def _shift(self) -> tuple[float, float] | None:
-        gain = np.clip(self.still.gain, 0.25, 4.0)
-        return self._judge.pattern.shift(self._small, gain)
+        return self._judge.pattern.shift(self._small, self._gain)
+
+    @property
+    def _gain(self) -> np.ndarray:
+        return np.clip(self.still.gain, LEAST_GAIN, MOST_GAIN)
