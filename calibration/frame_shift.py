@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from scipy.fft import irfft2, rfft2
 
+from taccel_lab.reading.dots.blobs import grey_levels
 from taccel_lab.robust_fit import spread_about_zero
 
 _LONGEST_PX = 320
@@ -90,8 +91,7 @@ class Look:
             dot_radius_px: Radius of dots on the gel; 0 for none.
             sign: -1 for dark dots, 1 for bright ones.
         """
-        grey = np.asarray(frame, dtype=np.float32)
-        grey = grey.mean(axis=-1) if grey.ndim == 3 else grey
+        grey = grey_levels(frame)
         size = grey.shape[1], grey.shape[0]
         shrunk = max(1.0, max(size) / _LONGEST_PX)
         if shrunk > 1.0:
@@ -130,8 +130,10 @@ def shift_between(before: Look, after: Look) -> Shift | None:
     is not, or where the light is too even to tell. Both have one size."""
     best, found = 0, None
     match = _match(before, after)
+    # Less agreement is enough for no run of bands.
+    least = _SHARE * _RUN / _BANDS * match.max()
     for right, down in _peaks(match):
-        if right == down == 0:
+        if right == down == 0 or match[down, right] < least:
             continue
         moved, still, telling = _bands(before, after, right, down)
         run = _longest_run(moved)

@@ -117,7 +117,7 @@ class MarkerTracker:
             )
         # Row by row, then those without a number from top to bottom.
         order = np.lexsort((np.where(row >= 0, column, dots.uv_px[:, 1]), row, row < 0))
-        self.dots = dots = dots.select(order)
+        self.dots = self._found = dots = dots.select(order)
         self.row, self.column = row[order], column[order]
         self.around = Neighbourhood.of(dots.uv_px)
         self.scale = replace(dots.scale, threshold=_WEAKER * dots.scale.threshold)
@@ -149,7 +149,8 @@ class MarkerTracker:
         self.found_out = [] if unread is None else [(0, unread)]
         if unread is None:
             self.uv = self.uv + self._judge.carried_px
-            self._read(frame, detect_dots(frame, self.scale))
+            self._found = detect_dots(frame, self.scale, self._found)
+            self._read(frame, self._found)
         else:
             # A jump that may be none of the gel does not go on.
             self.motion = (_MEMORY if self._jump is None else 0.0) * self.motion

@@ -67,7 +67,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     """
     array = np.asarray(image)
     if array.ndim == 3 and array.shape[2] == 3:
-        grey = array.astype(np.float32).mean(axis=2)
+        grey = cv2.transform(array.astype(np.float32), np.full((1, 3), 1 / 3, np.float32))
     elif array.ndim == 2:
         grey = array.astype(np.float32)
     else:

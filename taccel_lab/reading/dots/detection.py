@@ -16,6 +16,7 @@ from taccel_lab.reading.dots.blobs import (
     bright_level,
     find_blobs,
     grey_levels,
+    is_inside,
     reduced,
     response,
 )
@@ -27,7 +28,9 @@ _LARGE_PX = 10.0
 _WEAK = 0.3
 """A blob below this share of the usual contrast is not fitted."""
 _FULL = 0.93
-"""A dot of which less is seen is cut."""
+"""A dot of which less is seen is cut,"""
+_HALF = 0.75
+"""and one of which less was seen just before is so still."""
 _NEIGHBOURS = 6
 _SAME_SIZE = 0.01
 """Neighbouring dots are never known to be of one size better than by this part."""
@@ -75,22 +78,25 @@ class Dots(DotFit):
         return (self.flags & flag) != 0
 
 
-def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
+def detect_dots(image: np.ndarray, scale: DotScale, like: Dots | None = None) -> Dots:
     """All dots of a known size and sign, strongest first.
 
     Args:
         image: RGB or grey levels, shape [height_px, width_px] or [.., 3].
         scale: Size, sign and contrast of the dots, see ``scale_candidates``.
+        like: Dots of another picture of this gel, by which these are found in less time.
     """
     grey = grey_levels(image)
     factor = max(1, int(scale.radius_px / _LARGE_PX))
     if factor == 1:
-        return _detect(grey, scale)
-    small = _detect(reduced(grey, factor), replace(scale, sigma_px=scale.sigma_px / factor))
-    return _enlarged(small, factor, scale, (grey.shape[1], grey.shape[0]))
+        return _detect(grey, scale, like)
+    small = replace(scale, sigma_px=scale.sigma_px / factor)
+    like = None if like is None else _enlarged(like, 1 / factor, small, like.size_px)
+    found = _detect(reduced(grey, factor), small, like)
+    return _enlarged(found, factor, scale, (grey.shape[1], grey.shape[0]))
 
 
-def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]) -> Dots:
+def _enlarged(dots: Dots, factor: float, scale: DotScale, size_px: tuple[int, int]) -> Dots:
     """Dots of a reduced picture in the pixels of the whole one."""
     parameters = dots.parameters.copy()
     parameters[:, :2] = (parameters[:, :2] + 0.5) * factor - 0.5
@@ -106,10 +112,12 @@ def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]
     )
 
 
-def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
-    start = _start(grey, scale)
-    fit = fit_dots(grey, start)
-    fit, merged = _split_touching(grey, fit, scale)
+def _detect(grey: np.ndarray, scale: DotScale, like: Dots | None) -> Dots:
+    start, places = _start(grey, scale)
+    like = like if like is not None and like.count else None
+    fit = fit_dots(grey, start) if like is None else _fit_alike(grey, start, places, like)
+    quick = like is not None
+    fit, merged = _split_touching(grey, fit, scale, quick)
     fit, keep = _without_twins(fit)
     merged = merged[keep]
     height, width = grey.shape
@@ -117,7 +125,7 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     merged = merged | _touching(fit)
     partial = cut | merged
     if partial.any() and (~partial).sum() >= 3:
-        fit = _refit_partial(grey, fit, partial)
+        fit = _refit_partial(grey, fit, partial, quick)
     flags = np.zeros(fit.count, dtype=np.uint8)
     flags[cut] |= np.uint8(DotFlag.CUT)
     flags[merged] |= np.uint8(DotFlag.MERGED)
@@ -131,11 +139,32 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
 
 def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
     """Whole pixels (u, v) of blobs that are strong enough for dots, shape [blob, 2]."""
-    return _start(grey_levels(image), scale)[:, :2]
+    return _start(grey_levels(image), scale)[0][:, :2]
 
 
-def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
-    """Round dots of one size at the blobs, shape [dot, 10]; levels are left to the fit."""
+def _fit_alike(grey: np.ndarray, start: np.ndarray, places: np.ndarray, like: Dots) -> DotFit:
+    """Dots at places [dot, 2], from the nearest whole ones of another picture but beside the
+    border. What was cut off there is left as it starts, for ``_refit_partial``."""
+    gap, nearest = map(np.asarray, KDTree(like.uv_px).query(places))
+    cut = like.flagged(DotFlag.CUT) & (like.seen < _HALF)
+    cut = cut[nearest] & (gap < like.radius_px[nearest])
+    whole = like.whole[nearest] & is_inside(places, grey.shape, 2.0 * like.scale.radius_px)
+    near = np.full((len(places), model.PARAMETERS), np.nan)
+    if whole.any():
+        known = like.parameters[like.whole]
+        near[whole] = known[np.asarray(KDTree(known[:, :2]).query(places[whole])[1])]
+        near[whole, :2] = places[whole]
+    fit = fit_dots(grey, start[~cut], others=start[cut, :2], near=near[~cut])
+    left = start[cut]
+    left[:, model.CONTRAST] = like.contrast[nearest[cut]]
+    unknown = np.tile(np.diag([np.inf, np.inf]), (len(left), 1, 1))
+    none = np.zeros(len(left))
+    return joined([fit, DotFit(left, unknown, none, none > 0)])
+
+
+def _start(grey: np.ndarray, scale: DotScale) -> tuple[np.ndarray, np.ndarray]:
+    """Round dots of one size at the blobs, shape [dot, 10], their levels left to the fit, and where
+    parabolas through the blobs have their tops, [dot, 2]."""
     answer = response(grey, scale.sigma_px, bright_level(grey))
     uv, contrast = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
     strong = contrast > scale.threshold
@@ -145,10 +174,24 @@ def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
     start[:, :2] = uv[kept]
     start[:, model.SHAPE] = model.circle(scale.radius_px)
     start[:, model.LOG_BLUR] = np.log(max(0.2 * scale.radius_px, 0.6))
-    return start
+    return start, _tops(answer, uv[kept])
 
 
-def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit, np.ndarray]:
+def _tops(answer: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Tops of the parabolas along each axis through extrema at whole pixels, [blob, 2]."""
+    wide = np.pad(answer, 1, mode="edge")
+    u, v = uv.T.astype(int) + 1
+    middle = wide[v, u]
+    found = []
+    for before, after in ((wide[v, u - 1], wide[v, u + 1]), (wide[v - 1, u], wide[v + 1, u])):
+        bend = before + after - 2 * middle
+        found.append(0.5 * (before - after) / np.where(bend == 0, np.inf, bend))
+    return uv + np.clip(np.stack(found, axis=1), -0.5, 0.5)
+
+
+def _split_touching(
+    grey: np.ndarray, fit: DotFit, scale: DotScale, quick: bool
+) -> tuple[DotFit, np.ndarray]:
     """Fits with long double dots replaced by two dots each.
 
     Two dots of the usual size replace a long one only if both fits converge, are about as strong
@@ -168,6 +211,8 @@ def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[Dot
     long = (radius**2 > _AREA * usual**2) & (stretch > _STRETCH * np.median(stretch))
     long &= radius < 2.2 * usual
     long &= np.sign(p[:, model.CONTRAST]) == scale.sign
+    # Half of a pair that is mostly outside is seen too little.
+    long &= _inside(fit, (grey.shape[1], grey.shape[0]), np.zeros(len(p)))
     if not long.any():
         return fit, none
     shape = np.median(p[~long], axis=0)
@@ -177,7 +222,8 @@ def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[Dot
     start[1::2, :2] -= half
     start[:, model.SHAPE] = shape[model.SHAPE]
     start[:, model.LOG_BLUR] = shape[model.LOG_BLUR]
-    pair = fit_dots(grey, start, free_shape=False, others=p[~long, :2])
+    near = start if quick else None
+    pair = fit_dots(grey, start, free_shape=False, others=p[~long, :2], near=near)
     good = np.ones(int(long.sum()), dtype=bool)
     contrast = pair.parameters[:, model.CONTRAST].reshape(-1, 2)
     gap = np.hypot(*(pair.uv_px[0::2] - pair.uv_px[1::2]).T)
@@ -225,7 +271,7 @@ def _touching(fit: DotFit) -> np.ndarray:
     return distance[:, 1] < _TOUCH * (usual + usual[nearest[:, 1]])
 
 
-def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
+def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray, quick: bool) -> DotFit:
     """Fit the place alone of dots that are partly seen, with the shape of the nearest whole ones.
 
     Where one edge alone is seen, an error of the size is an error of the place; the neighbours'
@@ -243,7 +289,8 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
         off = spread_about_median(radii[near])
         spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
-    again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
+    near = start if quick else None
+    again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2], near=near)
     unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))
     again.covariance_px2[:, [0, 1], [0, 1]] += unknown[:, None] ** 2
     partial = np.flatnonzero(cut)

@@ -22,9 +22,12 @@ _SMOOTH_PX = 0.6
 """Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""
 _CHUNK = 400_000
 """Dots times pixels that are fitted in one go."""
-_STEPS = 25
+_STEPS, _FEW_STEPS = 25, 8
+"""Most steps of the search, and where it began near what it looks for."""
 _MOVED_PX = 5e-4
-"""A centre that moves by less has settled."""
+"""A centre that moves by less has settled,"""
+_FOLLOWED_PX = 5e-3
+"""or by less than this where the search began near it: a fifth of what noise moves it by."""
 _SETTLED_PX = 0.02
 """A centre that still moves by more in the last step is not found."""
 _HUBER = 2.0
@@ -104,6 +107,7 @@ def fit_dots(
     *,
     free_shape: bool = True,
     others: np.ndarray | None = None,
+    near: np.ndarray | None = None,
 ) -> DotFit:
     """Fit dots from a guess.
 
@@ -113,6 +117,8 @@ def fit_dots(
             contrast and slopes are read from the picture.
         free_shape: Fit ellipse and blur too; otherwise they stay as in ``start``.
         others: Further centres (u, v) whose pixels are left out, shape [other, 2].
+        near: Parameters near those that will be found, such as of the last frame, shape [dot, 10],
+            NaN for none: the search begins there, for the same dots.
     """
     if len(start) == 0:
         return DotFit(start, np.empty((0, 2, 2)), np.empty(0), np.empty(0, dtype=bool))
@@ -123,7 +129,7 @@ def fit_dots(
     order = np.argsort(radii)
     pixels = (2 * _window_half(radii) + 1) ** 2
     parts = np.array_split(order, min(len(order), 1 + len(order) * pixels // _CHUNK))
-    fits = [_fit_chunk(grey, start, part, centres, free_shape) for part in parts]
+    fits = [_fit_chunk(grey, start, part, centres, free_shape, near) for part in parts]
     return joined(fits).select(np.argsort(order))
 
 
@@ -133,7 +139,12 @@ def _window_half(radii_px: np.ndarray) -> int:
 
 
 def _fit_chunk(
-    grey: np.ndarray, start: np.ndarray, which: np.ndarray, centres: np.ndarray, free_shape: bool
+    grey: np.ndarray,
+    start: np.ndarray,
+    which: np.ndarray,
+    centres: np.ndarray,
+    free_shape: bool,
+    near: np.ndarray | None,
 ) -> DotFit:
     p = start[which].astype(np.float64)
     half = _window_half(model.mean_radius(p))
@@ -149,15 +160,22 @@ def _fit_chunk(
     step = np.abs(p[:, model.CONTRAST] * p[:, model.LEVEL])
     scale = np.maximum(_LEVEL_SIGMA, _OFF * step)
     problem = _Problem(uv, levels, own, p.copy(), scale, free)
-    p, settled = _minimise(problem.in_single_precision(), p)
-    covariance = problem.covariance_px2(p, len(span))
+    rests_px, steps = np.full(len(p), _MOVED_PX), _STEPS if near is None else _FEW_STEPS
+    if near is not None:
+        known = np.isfinite(near[which, 0])
+        rests_px[known] = _FOLLOWED_PX
+        p[known] = near[which[known]]
+        p[known, :2] -= origin[known]
+    problem = problem.in_single_precision()
+    p, settled, picture = _minimise(problem, p, rests_px, steps)
+    covariance = problem.covariance_px2(p, *picture, len(span))
     area = np.pi * model.mean_radius(p) ** 2
     ellipse = _inside_ellipse(p, uv)
     seen = np.minimum((ellipse & own).sum(axis=1) / np.maximum(area, 1.0), 1.0)
     p[:, :2] += origin
     moved_px = np.linalg.norm(p[:, :2] - start[which, :2], axis=1)
-    near = moved_px <= model.mean_radius(start[which])
-    return DotFit(p, covariance, seen, settled & near)
+    own_blob = moved_px <= model.mean_radius(start[which])
+    return DotFit(p, covariance, seen, settled & own_blob)
 
 
 @dataclass(frozen=True)
@@ -179,7 +197,7 @@ class _Problem:
 
     def in_single_precision(self) -> _Problem:
         """The same with pixels that take half the time; places rest where they do in double
-        precision, to 1e-4 px, but their covariance is the inverse of what is nearly singular."""
+        precision, to 1e-4 px."""
         return replace(self, uv=self.uv.astype(np.float32), levels=self.levels.astype(np.float32))
 
     def select(self, which: np.ndarray) -> _Problem:
@@ -234,11 +252,13 @@ class _Problem:
         gradient[:, fixed] = 0.0
         return normal, gradient
 
-    def covariance_px2(self, p: np.ndarray, side: int) -> np.ndarray:
+    def covariance_px2(
+        self, p: np.ndarray, value: np.ndarray, jacobian: np.ndarray, side: int
+    ) -> np.ndarray:
         """Covariances of the centres by the scatter that the fit left, [dot, 2, 2]; infinite where
-        too few pixels count. ``side``: pixels along one side of the window.
+        too few pixels count. ``side``: pixels along one side of the window; the rest as of
+        ``normal_equations``.
         """
-        value, jacobian = model.evaluate(p, self.uv)
         weight = self.weights(value)
         normal, _ = self.normal_equations(value, weight, jacobian, p)
         total, fitted = weight.sum(axis=1), int(self.free.sum())
@@ -247,7 +267,10 @@ class _Problem:
         variance = variance * _neighbours_alike(miss, weight, side)
         good = (total > 1.5 * fitted) & np.isfinite(normal).all(axis=(1, 2))
         safe = np.where(good[:, None, None], normal, np.eye(model.PARAMETERS))
-        known = np.linalg.pinv(safe)[:, :2, :2] * variance[:, None, None]
+        # In units of their own: all are of one size then, and few digits of any are lost.
+        unit = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", safe), 1e-12))
+        alike = np.linalg.pinv(safe * unit[:, :, None] * unit[:, None], hermitian=True)
+        known = (alike * unit[:, :, None] * unit[:, None])[:, :2, :2] * variance[:, None, None]
         good &= np.einsum("nii->ni", known).min(axis=1) > 0
         return np.where(good[:, None, None], known, np.diag([np.inf, np.inf]))
 
@@ -281,40 +304,47 @@ def _neighbours_alike(residual: np.ndarray, weight: np.ndarray, side: int) -> np
     return factor
 
 
-def _minimise(problem: _Problem, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Levenberg and Marquardt's steps on every dot until its centre rests.
+def _minimise(
+    problem: _Problem, start: np.ndarray, rests_px: np.ndarray, steps: int
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Levenberg and Marquardt's steps on every dot until its centre moves by less than ``rests_px``
+    [dot].
 
     Returns:
-        Parameters, and which centres have settled.
+        Parameters, which centres have settled, and ``soft_ellipse.evaluate`` one step before.
     """
-    final = start.copy()
-    last_move = np.full(len(start), np.inf)
+    final, last_move = start.copy(), np.full(len(start), np.inf)
     active = np.arange(len(start))
     p, damping = start.copy(), np.full(len(start), 1e-3)
-    value, jacobian = model.evaluate(p, problem.uv)
-    for _ in range(_STEPS):
+    value, jacobian = picture = model.evaluate(p, problem.uv)
+    for count in range(steps):
         weight = problem.weights(value)
         cost = problem.cost(value, weight, p)
         normal, gradient = problem.normal_equations(value, weight, jacobian, p)
         np.einsum("nii->ni", normal)[:] *= 1.0 + damping[:, None]
         step = np.linalg.solve(normal + 1e-12 * np.eye(model.PARAMETERS), gradient[..., None])
         trial = problem.bounded(p + step[..., 0])
+        moved = np.linalg.norm(trial[:, :2] - p[:, :2], axis=1)
+        # Levels, which were guessed, may take the first step alone.
+        going = (moved >= rests_px[active]) | (count == 0)
+        if not going.all():
+            at_rest = active[~going]
+            final[at_rest], last_move[at_rest] = trial[~going], moved[~going]
+            picture[0][at_rest], picture[1][at_rest] = value[~going], jacobian[~going]
+            if not going.any():
+                break
+            active, p, trial, moved = active[going], p[going], trial[going], moved[going]
+            damping, cost, weight = damping[going], cost[going], weight[going]
+            value, jacobian, problem = value[going], jacobian[going], problem.select(going)
         trial_value, trial_jacobian = model.evaluate(trial, problem.uv)
         better = problem.cost(trial_value, weight, trial) <= cost
-        moved = np.linalg.norm(trial[:, :2] - p[:, :2], axis=1)
         p[better], value[better] = trial[better], trial_value[better]
         jacobian[better] = trial_jacobian[better]
         damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-9, 1e9)
-        final[active] = p
-        last_move[active] = np.where(better | (moved < _MOVED_PX), moved, last_move[active])
-        going = (moved >= _MOVED_PX) & (damping < 1e9)
-        if not going.any():
-            break
-        if not going.all():
-            active, p, damping = active[going], p[going], damping[going]
-            value, jacobian = value[going], jacobian[going]
-            problem = problem.select(going)
-    return final, last_move < _SETTLED_PX
+        final[active], last_move[active] = p, np.where(better, moved, last_move[active])
+    else:
+        picture[0][active], picture[1][active] = value, jacobian
+    return final, last_move < _SETTLED_PX, picture
 
 
 def _pixels_of(
@@ -340,9 +370,11 @@ def _nearest_to_own(
     offset = centres - (origin + p[:, :2])[:, None]
     far = np.hypot(offset[..., 0], offset[..., 1])
     far[(far >= reach) | (far <= 1e-6)] = np.inf
+    # Those from which the whole window is far away, and nearer to this dot, take none of it.
+    sides, half = np.abs(offset), np.abs(uv).max() + 0.5
+    outside = sides.max(axis=2) - half > 1.25 * radius[:, None] + 1.0
+    far[outside & (half * sides.sum(axis=2) < 0.5 * far**2)] = np.inf
     far[np.arange(len(p)), which] = np.inf
-    to_own = uv - p[:, None, :2]
-    distance2 = np.square(to_own).sum(axis=2)
     order = np.argsort(far, axis=1)
     count = np.isfinite(far).sum(axis=1)
     # The first neighbour of every dot, then the second, ...
@@ -350,8 +382,9 @@ def _nearest_to_own(
         dots = np.flatnonzero(count > n)
         others = order[dots, n]
         other, apart = offset[dots, others], far[dots, others]
-        to_other2 = np.square(to_own[dots] - other[:, None]).sum(axis=2)
-        mine = distance2[dots] < to_other2
+        to_own = uv - p[dots, None, :2]
+        to_other2 = np.square(to_own - other[:, None]).sum(axis=2)
+        mine = np.square(to_own).sum(axis=2) < to_other2
         # The neighbour's blurred edge belongs to nobody, unless the two dots touch.
         alone = apart > 2.6 * radius[dots] + 2.0
         mine &= (to_other2 > ((1.25 * radius[dots] + 1.0) ** 2)[:, None]) | ~alone[:, None]

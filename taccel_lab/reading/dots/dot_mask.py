@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
+from taccel_lab.reading.dots.blobs import grey_levels
 from taccel_lab.reading.dots.marker_picture import MIN_DOTS, MarkerPicture, markers_or_none
 from taccel_lab.reading.thumb import resized
 
@@ -107,8 +108,7 @@ def _covered(image: np.ndarray, pitch_px: float) -> np.ndarray:
     The light around dots is smooth: it is found on a picture whose window is ``LEAST_WINDOW_PX``
     wide, and widened by a pixel there, so that no dot's rim is left out for it.
     """
-    grey = cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32))
-    grey = np.clip(grey, 0, 255)
+    grey = np.clip(grey_levels(image), 0, 255)
     height, width = grey.shape
     times = max(1, round(WINDOW_SHARE * pitch_px / LEAST_WINDOW_PX))
     around = grey

@@ -64,28 +64,27 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     yu, yv = s11 * du + s12 * dv, s12 * du + s22 * dv
     q = np.sqrt(yu**2 + yv**2) + 1e-9
     det = np.maximum(s11 * s22 - s12**2, 1e-12)
-    radius = 1.0 / np.sqrt(det)
-    blur = np.exp(p[:, LOG_BLUR])
-    t = (1.0 - q) * radius / blur
+    steep = np.exp(-p[:, LOG_BLUR]) / np.sqrt(det)
+    t = steep - steep * q
     # What is nothing anyway stays a normal number: others take a hundred times as long.
     bell = np.exp(-0.5 * np.minimum(np.square(t), 120.0))
     inside = ndtr(t) if t.dtype == np.float64 else _normal_single(t, bell)
     contrast = p[:, CONTRAST]
     light = p[:, LEVEL] + p[:, SLOPE_U] * u + p[:, SLOPE_V] * v
-    edge = light * contrast * bell / math.sqrt(2 * math.pi)
+    edge = light * (contrast / math.sqrt(2 * math.pi)) * bell
     share = 1.0 + contrast * inside
 
     # One derivative after the other in memory: they are written in half the time.
     jacobian = np.empty((len(p), PARAMETERS, len(uv)), dtype).transpose(0, 2, 1)
-    per_q = -edge * radius / blur
-    jacobian[..., CENTRE_U] = -per_q * (s11 * yu + s12 * yv) / q
-    jacobian[..., CENTRE_V] = -per_q * (s12 * yu + s22 * yv) / q
+    per_y = edge * (steep / q)
+    per_yu, per_yv, per_t = per_y * yu, per_y * yv, edge * t
+    jacobian[..., CENTRE_U] = s11 * per_yu + s12 * per_yv
+    jacobian[..., CENTRE_V] = s12 * per_yu + s22 * per_yv
     # The radius depends on the shape too: d(ln r) = -d(det) / (2 det).
-    per_det = -edge * t / (2 * det)
-    jacobian[..., S11] = per_q * yu * du / q + per_det * s22
-    jacobian[..., S12] = per_q * (yu * dv + yv * du) / q - 2 * per_det * s12
-    jacobian[..., S22] = per_q * yv * dv / q + per_det * s11
-    jacobian[..., LOG_BLUR] = -edge * t
+    jacobian[..., S11] = per_t * (-0.5 * s22 / det) - per_yu * du
+    jacobian[..., S12] = per_t * (s12 / det) - per_yu * dv - per_yv * du
+    jacobian[..., S22] = per_t * (-0.5 * s11 / det) - per_yv * dv
+    jacobian[..., LOG_BLUR] = -per_t
     jacobian[..., CONTRAST] = light * inside
     jacobian[..., LEVEL] = share
     jacobian[..., SLOPE_U], jacobian[..., SLOPE_V] = share * u, share * v

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.capture import CaptureFolder
@@ -32,7 +33,7 @@ from taccel_lab.reading.dots.lattice_growth import Neighbourhood
 from taccel_lab.reading.dots.marker_picture import find_markers
 from taccel_lab.report.remark import Severity
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.drawn.dots import HEIGHT, WIDTH, grid_points, nearest, picture
+from tests.calibration.drawn.dots import HEIGHT, MARGIN, WIDTH, grid_points, nearest, picture
 from tests.support.formula_model import formula_model
 from tests.support.real_data import real_data
 
@@ -102,6 +103,29 @@ def test_dots_keep_their_identity_over_one_and_a_half_pitches(motion, frames: in
     # Back at rest every dot is its own again, those that had left the picture too.
     assert tracks.seen[-1].mean() > 0.97
     assert error[-1][tracks.seen[-1]].max() < 0.05 * PITCH
+
+
+@pytest.mark.thorough
+def test_dots_whose_middle_is_out_of_view_are_followed_by_what_is_seen_of_them() -> None:
+    """A row of them, half in view: what lies beyond the border is no second dot."""
+    at_rest = grid_points(9, 11, (30.5, 30.0), centre=(159.5, 118.0))
+    gone = (at_rest < 0).any(axis=1) | (at_rest > (319, 239)).any(axis=1)
+    bent = np.exp(-((at_rest - (170, 110)) ** 2).sum(axis=1) / (2 * 80.0**2))[:, None]
+    ways = [
+        9.0 * np.sin(np.pi * k / 20) * bent * (0.9, 0.43) + 0.15 * np.sin(k / 3) for k in range(12)
+    ]
+    v, u = np.mgrid[-MARGIN : 240 + MARGIN, -MARGIN : 320 + MARGIN]
+    light = 120 - 50 * ((u - 150) / 240) ** 2 + 30 * np.sin(v / 70)
+    video = [
+        picture(at_rest + way, 5.5, noise=1.2, seed=k, background=light)
+        for k, way in enumerate(ways)
+    ]
+    tracks = track_markers(video, find_markers(video[0]))
+    away, dot = KDTree(at_rest).query(tracks.rest_px)
+    assert away.max() < 0.1 and gone[dot].sum() >= 10
+    error = np.linalg.norm(tracks.uv_px - (at_rest + np.array(ways))[:, dot], axis=2)
+    assert tracks.seen[:, gone[dot]].all() and error[:, gone[dot]].max() < 0.06
+    assert np.sqrt(np.square(error[:, ~gone[dot]]).mean()) < 0.012
 
 
 @pytest.mark.thorough
