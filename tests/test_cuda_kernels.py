@@ -32,6 +32,7 @@ from taccel_lab.ipc.potentials.elements import maxwell
 from taccel_lab.ipc.potentials.elements.linear_kernels import create_linear_kernels
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_quadratic_kernels
 from taccel_lab.outputs.stress import _stress_kernel
+from taccel_lab.reading.fixed_network import _network_kernel
 from taccel_lab.scene import Element, MaterialModel
 from taccel_lab.signals.color_kernel import color_kernel
 
@@ -66,6 +67,7 @@ FACTORIES: dict[str, Callable[[], list[Any]]] = {
     "signals/color_kernel.py": lambda: [
         color_kernel((64, 64, 64), "silu", encoded) for encoded in (False, True)
     ],
+    "reading/fixed_network.py": lambda: [_network_kernel((41, 64, 64, 64, 3))],
 }
 """What makes the kernels of files that make them on demand; of solvers in one memory."""
 

@@ -18,6 +18,7 @@ are the same for all images of a sensor: each place is asked for once, by all re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -118,45 +119,42 @@ def read_in_blocks(
 
 
 def read_in_room(
-    windows: FeatureWindows,
-    answer: Answer,
-    slopes: Callable[[torch.Tensor], torch.Tensor],
-    around: torch.Tensor | None,
-    here: Room,
+    windows: FeatureWindows, answer: Answer, around: torch.Tensor | None, here: Room
 ) -> torch.Tensor:
     """What ``painted`` makes of ``read_in_blocks`` for each image by itself, in sizes that do not
     follow the images: smaller blocks are picked into as many places as there is room for, and maps
     are of whole images, whose parts are told by where flags are set."""
     import torch
 
-    from taccel_lab.reading.fixed_kernels import painted_parts, spans_of
+    from taccel_lab.reading import fixed_blocks as kernels
 
     blocks = windows.sparse(LARGEST_PX)
     maps = [answer(blocks, None).unflatten(1, blocks.shape)]
-    uneven, size, spans = _uneven(windows), LARGEST_PX, []
-    flags, limit = around, None
-    while size > 1:
-        bend = _bend(slopes(maps[-1][:2]))
+    energy, uneven, size = None, {}, FINEST_CELL_PX
+    while size < LARGEST_PX:
+        energy = kernels.textures(windows.packed(size), windows.packed(2 * size), energy)
+        size, texture = 2 * size, energy.sqrt()
+        uneven[size] = texture, _limit(texture, TEXTURE_LEVELS / LEVELS_PER_UNIT)
+    uneven[FINEST_CELL_PX] = uneven[2 * FINEST_CELL_PX]
+    flags, limit = None if around is None else around[None].view(torch.uint8), None
+    spans = torch.zeros((3, blocks.shape[0], 4), dtype=torch.int32, device=maps[0].device)
+    for span in spans:
+        bend = kernels.bends(maps[-1][:2])
         limit = _limit(bend, BEND) if limit is None else limit
-        masked = _any_masked(windows, size)
-        beside = _widened(bend > limit if masked is None else (bend > limit) | masked)
-        beside |= uneven[size]
-        flags = beside if flags is None else beside & flags
-        spans.append(flags)
+        masked = None if windows.mask is None else _any(~windows.mask, size)[0]
+        flags = kernels.flags_beside((bend, limit), masked, uneven[size], flags, span)
         size //= 2
-        height, width = windows.count(size)
-        flags = _doubled(flags)[..., :height, :width]
-        picked = flags if windows.mask is None else flags & _any(windows.mask, size)
+        shape = blocks.shape[0], *windows.count(size)
         # What is picked past the last block goes to one more place, which nobody reads.
-        most = picked.numel()
-        found = maps[-1].new_empty((len(maps[-1]), most + 1))
-        lines = found[:, :most].unflatten(1, flags.shape)
-        lines.copy_(enlarged(maps[-1], 2)[..., :height, :width])
-        wanted = here.size(f"blocks of {size} px", picked.sum(), most)
-        at = torch.nonzero_static(picked.flatten(), size=wanted, fill_value=most)[:, 0]
+        found = bend.new_empty((len(maps[0]), math.prod(shape) + 1))
+        lines = found[:, :-1].unflatten(1, shape)
+        mask = None if windows.mask is None else _any(windows.mask, size)[0]
+        flags, picked = kernels.finer_maps(maps[-1], flags, mask, lines)
+        wanted = here.size(f"blocks of {size} px", picked.sum(), picked.numel())
+        at = torch.nonzero_static(picked.flatten(), size=wanted, fill_value=picked.numel())[:, 0]
         found.index_copy_(1, at, answer(windows.sparse(size), at))
         maps.append(lines)
-    return painted_parts(maps, spans_of(spans), windows.size[1:])
+    return kernels.painted_parts(maps, spans, windows.size[1:])
 
 
 def _finer(

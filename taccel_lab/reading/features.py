@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +35,8 @@ MIN_COVER = 1e-3
 
 def color_change(image: Array, background: Array, mask: Array | None = None) -> Array:
     """Image minus background [levels], float32, 0 where ``mask`` is false, shape [..., h, w, 3]."""
-    change = tensor_of(image).float() - tensor_of(background).float()
+    given = tensor_of(image)
+    change = (given.float() if given.is_floating_point() else given) - tensor_of(background).float()
     if mask is not None:
         change = change.where(tensor_of(mask)[..., None], 0.0)
     return as_given(change, image)
@@ -153,13 +155,12 @@ class SparseBlocks(Blocks):
         any."""
         import torch
 
-        from taccel_lab.reading.fixed_kernels import windows_of_blocks
+        from taccel_lab.reading.fixed_windows import features_of_blocks
 
         known = self.known.flatten(1)
         if picked is None:
             picked = torch.arange(self.shape.numel(), device=known.device)
-        changing = windows_of_blocks(self.windows, self.block_px, picked)
-        return torch.cat([changing, known.index_select(1, picked % known.shape[1])])
+        return features_of_blocks(self.windows, self.block_px, known, picked)
 
 
 class FeatureWindows:
@@ -180,9 +181,7 @@ class FeatureWindows:
         many pixels know of theirs, shape [n, h, w]; the rest as of ``local_features``."""
         here = room() is None
         self.mask = None if mask is None or (here and bool(mask.all())) else mask
-        kept = None if self.mask is None else self.mask[..., None]
-        units = change.float() / LEVELS_PER_UNIT
-        self._units = units if kept is None else units.where(kept, 0.0)
+        self._change = change
         self.scales = tuple(scale * zoom for scale in scales_px)
         self.varied = tuple(scale * zoom for scale in slope_scales_px)
         self._place, self._under = place, None
@@ -191,12 +190,30 @@ class FeatureWindows:
             self._under = FeatureWindows(background[None], (widest,), (), place, mask=self.mask)
         self._cells: dict[int, torch.Tensor] = {}
         self._kept: dict[int, torch.Tensor] = {}
+        self._packed: dict[int, torch.Tensor] = {}
+
+    @cached_property
+    def _units(self) -> torch.Tensor:
+        units = self._change.float() / LEVELS_PER_UNIT
+        return units if self.mask is None else units.where(self.mask[..., None], 0.0)
 
     @property
     def size(self) -> tuple[int, int, int]:
         """Images, rows and columns of pixels."""
-        images, height, width, _ = self._units.shape
+        images, height, width, _ = self._change.shape
         return images, height, width
+
+    def packed(self, cell_px: int) -> torch.Tensor:
+        """``cells``, and ``cover``, of each in one place, shape [image, h, w, 4]."""
+        from taccel_lab.reading.fixed_windows import halved_cells, packed_cells
+
+        if cell_px not in self._packed:
+            if cell_px == 1:
+                found = packed_cells(self._change.float(), self.mask, 1.0 / LEVELS_PER_UNIT)
+            else:
+                found = halved_cells(self.packed(cell_px // 2))
+            self._packed[cell_px] = found
+        return self._packed[cell_px]
 
     def count(self, block_px: int) -> tuple[int, int]:
         """Rows and columns of blocks."""
@@ -294,7 +311,7 @@ class FeatureWindows:
 
         cell_px = cell_of(scales[-1], block_px)
         values = self.cells(cell_px)
-        _, height, width, _ = self._units.shape
+        _, height, width = self.size
         device, masked = values.device, self.mask is not None
         down, across = (
             axis_windows(count, scales, varied, block_px, masked, device).part(part)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Generic
@@ -71,6 +71,10 @@ CHUNK_PIXELS = {"cpu": 512}
 time of chunks that do not. Always as many, as products of other sizes may round otherwise."""
 DEVICE_CHUNK_PIXELS = 1 << 15
 """Likewise elsewhere, where few large products are fast; 30 MB a layer."""
+
+
+MOST_FIXED = 64
+"""Widest hidden layer that ``fixed_network`` takes."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +211,7 @@ class NormalModel:
             elif here is None:
                 read = painted(read_in_blocks(windows, answer, _lean_slopes, near), shape[:2])
             else:
-                read = read_in_room(windows, answer, _lean_slopes, near, here)
+                read = read_in_room(windows, answer, near, here)
             # Lines that go on beyond the outermost blocks may fall below any error there is.
             least = self.config.error_factor * MIN_ERROR_RAD
             tilt, error = read[:2].movedim(0, -1), read[2].clamp(min=least)
@@ -274,6 +278,13 @@ class NormalModel:
         return torch.cat([tilt.T, error[None]])
 
     @cached_property
+    def _fixed(self) -> Callable[[torch.Tensor], torch.Tensor]:
+        """The same layers in one kernel, for readings of fixed sizes."""
+        from taccel_lab.reading.fixed_network import FixedNetwork
+
+        return FixedNetwork(self._layers)
+
+    @cached_property
     def _digest(self) -> bytes:
         weights = b"".join(self.weights[name].tobytes() for name in self.weights)
         return hashlib.sha256(weights).digest()
@@ -292,6 +303,8 @@ class NormalModel:
         """What each member gives for raw features [feature, n], shape [member, n, 3]."""
         import torch
 
+        if room() is not None and max(self.config.hidden) <= MOST_FIXED:
+            return self._fixed(features)
         chunk = CHUNK_PIXELS.get(features.device.type, DEVICE_CHUNK_PIXELS)
         count = features.shape[1]
         *whole, last = features.split(chunk, dim=1)

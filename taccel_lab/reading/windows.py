@@ -123,8 +123,8 @@ class AxisTaps:
     first: torch.Tensor
     """First one of them, int32, shape [window, block]."""
     weights: torch.Tensor
-    """Their weights in a block's average, and in the values at both its borders, float32, shape
-    [window, 3, block, cell]."""
+    """Their weights in a block's average, and in the values at both its borders, and 0, float32,
+    shape [window, block, cell, 4]."""
 
 
 @lru_cache(maxsize=32)
@@ -147,11 +147,11 @@ def axis_taps(
         places = np.broadcast_to(first[:, None] + np.arange(taps), (3, len(first), taps))
         found.append((taps, first, np.take_along_axis(weights, places, axis=2)))
     most = max(taps for taps, _, _ in found)
-    weights = [np.pad(each, [(0, 0), (0, 0), (0, most - taps)]) for taps, _, each in found]
+    weights = [np.pad(each, [(0, 1), (0, 0), (0, most - taps)]) for taps, _, each in found]
     return AxisTaps(
         torch.tensor([taps for taps, _, _ in found], dtype=torch.int32, device=device),
         torch.tensor(np.stack([first for _, first, _ in found]), dtype=torch.int32, device=device),
-        torch.tensor(np.stack(weights), device=device),
+        torch.tensor(np.moveaxis(np.stack(weights), 1, -1).copy(), device=device),
     )
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.features import FeatureWindows
-from taccel_lab.reading.fixed_kernels import windows_of_blocks
+from taccel_lab.reading.features import FeatureWindows, pixel_place, place_of_blocks
+from taccel_lab.reading.fixed_network import FixedNetwork
 from taccel_lab.reading.heights import ReadHeights, read_heights
 from taccel_lab.reading.room import STEP, Room, require
 from taccel_lab.reading.slope_integration import height_from_slopes
-from taccel_lab.reading.slopes import NormalModel
+from taccel_lab.reading.slopes import NormalModel, network
 from tests.networks.weights import random_weights
 from tests.reading.test_slopes import WIDE, WIDE_GRID, dented
 
@@ -91,14 +92,24 @@ def test_windows_of_picked_blocks_are_those_of_all(block_px: int, masked: bool):
     change = torch.from_numpy(np.random.default_rng(3).normal(0, 40, (2, 45, 62, 3)))
     mask = torch.ones((45, 62), dtype=torch.bool)
     mask[10:22, :30] = not masked
-    scales, varied = (0.0, 0.7, 1.5, 3.1, 6.2), (1.5, 3.1, 9.0)
-    maps = FeatureWindows(
-        change, scales, varied, lambda px: torch.zeros(0, *maps.count(px)), mask=mask
-    )
-    known = maps.blocks(block_px).changing.flatten(1)
-    picked = torch.arange(known.shape[1]).flip(0)
-    found = windows_of_blocks(maps, block_px, picked)
-    np.testing.assert_allclose(found.flip(1), known, atol=3e-6)
+    scales, varied, place = (0.0, 0.7, 1.5, 6.2, 1.5), (1.5, 3.1, 9.0), pixel_place(62, 45, 1)
+    maps = FeatureWindows(change, scales, varied, lambda px: place_of_blocks(place, px), mask=mask)
+    known = maps.blocks(block_px).features()
+    picked = torch.arange(known.shape[1] + 5).flip(0)
+    found = maps.sparse(block_px).features(picked)
+    np.testing.assert_allclose(found.flip(1)[:, :-5], known, atol=3e-6)
+
+
+@pytest.mark.parametrize("widths", [(41, 64, 64, 3), (5, 24, 4), (75, 33, 3)])
+def test_a_kernel_takes_blocks_through_all_layers(widths: tuple[int, ...]):
+    torch.manual_seed(1)
+    layers = [
+        (torch.randn(2, out, count) / count**0.5, torch.randn(2, out))
+        for count, out in pairwise(widths)
+    ]
+    inputs = torch.randn(widths[0], 300)
+    known = network(layers, inputs.T.expand(2, -1, -1))
+    np.testing.assert_allclose(FixedNetwork(layers)(inputs), known, atol=3e-6)
 
 
 def test_faults_of_input_are_kept_until_a_result_is_asked_for():
