@@ -27,6 +27,7 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.normals.distilling import distilled
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import KnownPress, with_reading_errors
@@ -186,7 +187,7 @@ def fit_normals(
     networks = InverseTraining(training, scene, options, drawn)
     fit = networks.run(progress)
     config = replace(fit.model.config, **_shown(training, scene))
-    model = NormalModel(config, fit.model.weights)
+    model = distilled(NormalModel(config, fit.model.weights), networks, progress=progress)
     checked = counted(unseen, progress, READING, CHECKED)
     balls = counted(_left_out_balls(model, training, scene), progress, READING_BALLS, len(training))
     # What all circles are off by alike is in what each of them is said to be.
@@ -204,7 +205,8 @@ def fit_normals(
         joining = held.joining()
         every = [*training, *joining]
         if joining:
-            final = _in_bands_of(model, networks.go_on(joining, progress), every, scene)
+            again = _in_bands_of(model, networks.go_on(joining, progress), every, scene)
+            final = replace(again, model=distilled(again.model, networks, model, progress))
     floors = [noise_floor_l1(frame, scene) for frame in training]
     result = NormalCalibration(
         fit=replace(fit, model=model),
@@ -282,7 +284,7 @@ def _in_bands_of(
     """The last fit with what is known of the scored one's errors: held-out presses tell no more of
     a fit that has seen them. Networks that err more on what they left out expect more, too."""
     factor = max(scored.config.error_factor, last.model.config.error_factor)
-    config = replace(scored.config, error_factor=factor, **_shown(frames, scene))
+    config = replace(scored.config, error_factor=factor, small_hidden=(), **_shown(frames, scene))
     return replace(last, model=NormalModel(config, last.model.weights))
 
 

@@ -41,12 +41,8 @@ from taccel_lab.calibration.response.training import (
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, silent
-from taccel_lab.reading.slopes import (
-    MAX_TILT_RAD,
-    RAYLEIGH_MEAN,
-    NormalModel,
-    tilt_and_error,
-)
+from taccel_lab.reading.network_answers import tilt_and_error
+from taccel_lab.reading.slopes import MAX_TILT_RAD, RAYLEIGH_MEAN, NormalModel
 from taccel_lab.signals.tensors import layer_tensors
 
 TASK = "fitting the inverse model"

@@ -168,8 +168,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
             + f"; {options.steps} steps of Muon and Adam, stopped on left-out presses; "
             f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
             f"{self.circles}; sink-in: {self.surfaces}; light of each frame taken off"
-            + f"; {self.then_fitted}"
-            * (self.final is not None),
+            + f"; read by one of {list(config.small_hidden)} that was taught their answers"
+            * bool(config.small_hidden)
+            + f"; {self.then_fitted}" * (self.final is not None),
             source=self.source,
             inputs={"background": self.background_sha256} | self.last.inputs,
             residuals=residuals,

@@ -23,8 +23,9 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.features import color_change, image_features
 from taccel_lab.reading.heights import read_heights
+from taccel_lab.reading.network_answers import network
 from taccel_lab.reading.slope_integration import resting_height
-from taccel_lab.reading.slopes import NormalMap, NormalModel, network, relative_normals
+from taccel_lab.reading.slopes import NormalMap, NormalModel, relative_normals
 
 SIZES = ((320, 320), (640, 480))
 WIDTH_MM = 19.0

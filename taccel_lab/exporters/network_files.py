@@ -26,8 +26,9 @@ from taccel_lab.exporters.record import MAKERS, ExportRecord
 from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.networks.color_settings import UPRIGHT_DEG
 from taccel_lab.networks.force_settings import LEVELS, MARKER_PLANES, MARKER_UNIT_MM, TARGETS
+from taccel_lab.networks.normal_settings import ensemble_of
 from taccel_lab.profile import ColorBlock, ForceBlock, NormalsBlock, SensorProfile
-from taccel_lab.reading import slopes
+from taccel_lab.reading import network_answers
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals import color_model, force_network
 from taccel_lab.signals.color_model import ColorModel
@@ -55,7 +56,9 @@ NORMAL_FORMULA = (
     "without change of colour; expected angle of error [rad] = sqrt((error_factor mean(exp(clip("
     "third output, -12, 2)) + 3.5e-4))^2 + spread of the members' tilts^2); 95 % of the errors lie "
     "below radius95_sigmas / sqrt(pi / 2) times that. The tilt turns the resting normal, leaning "
-    "towards it."
+    "towards it. small.*, where there is one: a network that reads first. It gives that tilt, the "
+    "logarithm of that error, and that of what the tilt is off the ensemble's; squares of both add "
+    "up. The ensemble reads where the latter is more than half of the former."
 )
 
 
@@ -271,7 +274,7 @@ def _normals(profile: SensorProfile) -> Made:
 
     model = NormalModel.from_profile(profile)
     config = model.config
-    layers = layer_tensors(model.weights)
+    layers = layer_tensors(ensemble_of(model.weights))
     mean, scale = torch.tensor(config.input_mean), torch.tensor(config.input_scale)
     # What at_rest() leaves of the features is the same selection in every pixel.
     kept = config.at_rest(np.ones((1, config.input_count), dtype=np.float32))
@@ -281,7 +284,7 @@ def _normals(profile: SensorProfile) -> Made:
             ((values - mean) / scale).expand(config.members, -1, -1)
             for values in (features, features * torch.from_numpy(kept))
         ]
-        tilts, errors = slopes.tilt_and_error(layers, *seen)
+        tilts, errors = network_answers.tilt_and_error(layers, *seen)
         tilt = tilts.mean(dim=0)
         spread2 = (tilts - tilt).square().sum(dim=-1).mean(dim=0)
         own = config.error_factor * errors.mean(dim=0)

@@ -30,6 +30,11 @@ _LEAST_WINDOW_PX = 0.1
 """A narrower one is the pixel itself."""
 OUTPUTS = 3
 """Two tilts [rad] and the logarithm of the expected angle of error [rad]."""
+SMALL_OUTPUTS = OUTPUTS + 1
+"""The same of the ensemble, errors with the members' disagreement, and the logarithm of the angle
+that the small network is expected to be off the ensemble [rad]."""
+SMALL = "small."
+"""What names of the small network's weights begin with."""
 RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
 """Length that 95 % of vectors of two independent normal deviates of unit standard deviation stay
 below."""
@@ -82,16 +87,19 @@ class NormalModelConfig(NetworkSettings):
     presses_px: tuple[float, ...] = ()
     """Contacts that it was fitted to, each column, row and radius [px]; empty in profiles that do
     not say."""
+    small_hidden: tuple[int, ...] = ()
+    """Widths of the hidden layers of the small network that reads for the ensemble what it reads as
+    well (``small_network``); empty where the ensemble reads all."""
 
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
             raise InputError(
                 f"normal model image size is {self.width_px}x{self.height_px} px; at least 2x2 px"
             )
-        if self.members < 1 or any(width < 1 for width in self.hidden):
+        if self.members < 1 or min((*self.hidden, *self.small_hidden), default=1) < 1:
             raise InputError(
-                f"normal model needs members and hidden layers of at least 1, got {self.members} "
-                f"and {list(self.hidden)}"
+                f"normal model needs members and hidden layers of at least 1, got {self.members}, "
+                f"{list(self.hidden)} and {list(self.small_hidden)}"
             )
         largest = max(self.width_px, self.height_px)
         if not self.scales_px:
@@ -162,14 +170,19 @@ class NormalModelConfig(NetworkSettings):
         """Features, the first ones, that are those of a change of colour, not of the place."""
         return 3 * len(self.scales_px) + 6 * len(self.slope_scales_px)
 
-    def layer_sizes(self) -> list[tuple[int, int]]:
-        """(outputs, inputs) of each layer of one member."""
-        widths = [self.input_count, *self.hidden, OUTPUTS]
-        return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
-
     def weight_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each weight array by name, in the order of the layers."""
-        return layer_shapes(self.layer_sizes(), (self.members,))
+        """Shape of each weight array by name: the layers of the ensemble in their order, then those
+        of the small network, if there is one."""
+        shapes = layer_shapes(self._sizes(self.hidden, OUTPUTS), (self.members,))
+        if self.small_hidden:
+            small = layer_shapes(self._sizes(self.small_hidden, SMALL_OUTPUTS))
+            shapes |= {SMALL + name: shape for name, shape in small.items()}
+        return shapes
+
+    def _sizes(self, hidden: tuple[int, ...], outputs: int) -> list[tuple[int, int]]:
+        """(outputs, inputs) of each layer of one network."""
+        widths = [self.input_count, *hidden, outputs]
+        return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
 
     def normalise(self, features: np.ndarray) -> np.ndarray:
         """Network inputs of raw features, float32, same shape."""
@@ -197,13 +210,30 @@ def feature_names(
     return (*names, "u", "v", *band_names(position_bands))
 
 
+def ensemble_of(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Weights of the ensemble alone, by the names of its layers."""
+    return {name: values for name, values in weights.items() if not name.startswith(SMALL)}
+
+
+def small_of(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Weights of the small network, by the names of its layers; empty where there is none."""
+    return {
+        name.removeprefix(SMALL): values
+        for name, values in weights.items()
+        if name.startswith(SMALL)
+    }
+
+
 def require_angles(config: NormalModelConfig, weights: Mapping[str, np.ndarray]) -> None:
-    """Refuse a network whose tilts are no angles, over twice the spread of its features."""
+    """Refuse networks whose tilts are no angles, over twice the spread of their features."""
     spread = np.random.default_rng(0).uniform(-2, 2, (QUESTIONS, config.input_count))
     raw = np.array(config.input_mean) + np.array(config.input_scale) * spread
-    read, still = (
-        forward(weights, config.normalise(values), "silu")[..., :2]
-        for values in (raw, config.at_rest(raw))
-    )
-    sizes = np.degrees(np.linalg.norm((read - still).mean(axis=0), axis=-1))
-    require_answers("the normal model", sizes, 0.1, 360.0, "degrees", "a tilt has up to 90")
+    inputs = config.normalise(raw), config.normalise(config.at_rest(raw))
+    small = small_of(weights)
+    for what, network in (("", ensemble_of(weights)), ("'s small network", small)):
+        if network:
+            read, still = (forward(network, values, "silu")[..., :2] for values in inputs)
+            off = (read - still).reshape(-1, *read.shape[-2:]).mean(axis=0)
+            sizes = np.degrees(np.linalg.norm(off, axis=-1))
+            who = f"the normal model{what}"
+            require_answers(who, sizes, 0.1, 360.0, "degrees", "a tilt has up to 90")

@@ -78,6 +78,12 @@ def _branches_alone(document: Document) -> Document:
     return {**document, "material": kept}
 
 
+def _ensembles_alone(document: Document) -> Document:
+    """Version 13 has a small network beside the ensemble of normals; in version 12 that reads
+    all."""
+    return _with_settings(document, "normals", small_hidden=[])
+
+
 STEPS: Mapping[int, Step] = {
     1: _as_it_is,  # Blocks of the optics, layers of the gel and their mesh array.
     2: _as_it_is,  # Normals, depth_response, perturbation, laws of the material, more evidence.
@@ -90,6 +96,7 @@ STEPS: Mapping[int, Step] = {
     9: _as_it_is,  # Further cameras and bent light guides.
     10: _one_light,
     11: _branches_alone,
+    12: _ensembles_alone,
 }
 
 

@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Surface normals from a tactile image: a small ensemble of networks, with its own uncertainty.
 
-A network maps the features of a pixel (``normal_features``) to a tilt: the rotation, as a vector of
+Networks map the features of a pixel (``network_answers``) to a tilt: the rotation, as a vector of
 two angles, that takes the resting normal of that pixel to the present one. What the network gives
 for no change of colour at the same pixel is subtracted, so that the background itself reads as the
 resting surface, exactly, on curved gels too. Colour and position as inputs are those of
 GelSight's calibration by balls (Yuan, Dong and Adelson, Sensors 17(12), 2017) and of gs_sdk's
 network; the windows, the ensemble and the uncertainty are additions.
-
-A third output is the logarithm of the angle by which the tilt is expected to be wrong; it is joined
-with the disagreement of the ensemble's members.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
@@ -32,7 +28,6 @@ from taccel_lab.reading.blocks import (
     painted,
     read_in_blocks,
     read_in_room,
-    tilts_at_rest,
 )
 from taccel_lab.reading.features import (
     Blocks,
@@ -41,13 +36,13 @@ from taccel_lab.reading.features import (
     pixel_place,
     place_of_blocks,
 )
+from taccel_lab.reading.network_answers import MIN_ERROR_RAD, Networks
 from taccel_lab.reading.room import room
 from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.tensors import (
     Array,
     Given,
     as_given,
-    layer_tensors,
     length2,
     require_device,
     tensor_of,
@@ -63,18 +58,8 @@ AWAY = 0.25
 """Distance from the part of the image that fitted contacts span, in its shorter sides, at which a
 tilt may be off by itself; nearer by, by the square of it. Six presses of a corner read others 0.1
 to 0.3 away by 0.3 to 0.6 of their tilts wrong (FOTS), by less where colours are even."""
-MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
-CHUNK_PIXELS = {"cpu": 512}
-"""Pixels read at once: what the layers give for them stays in a core's cache, which takes half the
-time of chunks that do not. Always as many, as products of other sizes may round otherwise."""
-DEVICE_CHUNK_PIXELS = 1 << 15
-"""Likewise elsewhere, where few large products are fast; 30 MB a layer."""
-
-
-MOST_FIXED = 64
-"""Widest hidden layer that ``fixed_network`` takes."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +115,8 @@ class NormalModel:
         require_device(device)
         self.config, self.device = config, device
         self.weights = checked_weights("normal model", config.weight_shapes(), weights)
+        self.networks = Networks(config, self.weights, device)
+        """They answer of blocks."""
         self.recordings: OrderedDict[Hashable, Any] = OrderedDict()
         """What readings on a GPU keep from one to the next (``recorded``)."""
 
@@ -143,19 +130,6 @@ class NormalModel:
             )
         config = NormalModelConfig.from_dict(profile.normals.architecture)
         return cls(config, profile.normal_weights, device)
-
-    @cached_property
-    def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """Layers of raw features: the first one normalises them, too."""
-        layers = layer_tensors(self.weights)
-        weight, bias = (values.double() for values in layers[0])
-        mean, scale = (
-            tensor_of(np.array(values))
-            for values in (self.config.input_mean, self.config.input_scale)
-        )
-        first = weight / scale
-        layers[0] = first.float(), (bias - first @ mean).float()
-        return [(w.to(self.device), b.to(self.device)) for w, b in layers]
 
     def predict(
         self,
@@ -201,7 +175,7 @@ class NormalModel:
             windows = self._windows(color_change(images, light, kept), light, kept)
 
             def answer(blocks: Blocks, picked: torch.Tensor | None) -> torch.Tensor:
-                return self._answer(blocks, picked, left_out)
+                return self.networks.answer(blocks, picked, left_out)
 
             near, here = None if around is None else tensor_of(around, like=on), room()
             if coarse:
@@ -254,105 +228,15 @@ class NormalModel:
             background=background if config.background else None,
         )
 
-    def _answer(
-        self, blocks: Blocks, picked: torch.Tensor | None, left_out: int | None
-    ) -> torch.Tensor:
-        """Tilt [rad] and expected angle of error [rad] of blocks, shape [3, n] (``Answer``)."""
-        import torch
-
-        features = blocks.features(picked)
-        if self.config.background:
-            still = self._still(features)
-        else:
-            _, height, width = blocks.shape
-            if picked is None:
-                picked = torch.arange(features.shape[1], device=features.device)
-            row, column = (picked % (height * width)) // width, picked % width
-            columns = -(-self.config.width_px // blocks.block_px)
-            place = (blocks.rows.start + row) * columns + blocks.columns.start + column
-            at_rest = tilts_at_rest(self.config, self._digest, blocks.block_px, self.device)
-            if room() is not None:
-                at_rest.of_all(blocks.known, self.config.varying_count, self._still)
-            still = at_rest.at(place, features, self._still)
-        tilt, error = self._judged(self._outputs(features), still, left_out)
-        return torch.cat([tilt.T, error[None]])
-
-    @cached_property
-    def _fixed(self) -> Callable[[torch.Tensor], torch.Tensor]:
-        """The same layers in one kernel, for readings of fixed sizes."""
-        from taccel_lab.reading.fixed_network import FixedNetwork
-
-        return FixedNetwork(self._layers)
-
-    @cached_property
-    def _digest(self) -> bytes:
-        weights = b"".join(self.weights[name].tobytes() for name in self.weights)
-        return hashlib.sha256(weights).digest()
-
-    def _still(self, features: torch.Tensor) -> torch.Tensor:
-        """What each member gives without a change, [member, n, 2], for features [feature, n]."""
-        return self._outputs(self._at_rest(features))[..., :2]
-
-    def _at_rest(self, features: torch.Tensor) -> torch.Tensor:
-        """``NormalModelConfig.at_rest`` of features [feature, n]."""
-        still = features.clone()
-        still[: self.config.varying_count] = 0.0
-        return still
-
-    def _outputs(self, features: torch.Tensor) -> torch.Tensor:
-        """What each member gives for raw features [feature, n], shape [member, n, 3]."""
-        import torch
-
-        if room() is not None and max(self.config.hidden) <= MOST_FIXED:
-            return self._fixed(features)
-        chunk = CHUNK_PIXELS.get(features.device.type, DEVICE_CHUNK_PIXELS)
-        count = features.shape[1]
-        *whole, last = features.split(chunk, dim=1)
-        last = torch.nn.functional.pad(last, (0, -count % chunk))
-        parts = [
-            network(self._layers, part.T.expand(self.config.members, -1, -1))
-            for part in (*whole, last)
-        ]
-        return torch.cat(parts, dim=1)[:, :count]
-
-    def _judged(
-        self, outputs: torch.Tensor, still: torch.Tensor, left_out: int | None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of what members give, [member, n,
-        3], now and at rest; ``left_out`` as in ``predict``."""
-        import torch
-
-        tilts, errors = outputs[..., :2] - still, expected_error(outputs)
-        others = reading = tilts
-        if left_out is not None:
-            others = torch.cat([tilts[:left_out], tilts[left_out + 1 :]])
-            reading, errors = (values[left_out : left_out + 1] for values in (tilts, errors))
-        spread2 = (others - others.mean(dim=0)).square().sum(dim=-1).mean(dim=0)
-        own = self.config.error_factor * errors.mean(dim=0)
-        return reading.mean(dim=0), (own.square() + spread2).sqrt()
-
     def predict_pixels(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature]."""
+        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature], by
+        the ensemble."""
         import torch
 
         with torch.no_grad():
             raw = torch.as_tensor(features, dtype=torch.float32, device=self.device).T
-            tilt, error = self._judged(self._outputs(raw), self._still(raw), None)
+            tilt, error = self.networks.answer_pixels(raw)
         return tilt.cpu().numpy(), error.cpu().numpy()
-
-
-def network(
-    layers: Sequence[tuple[torch.Tensor, torch.Tensor]], inputs: torch.Tensor
-) -> torch.Tensor:
-    """Raw outputs [member, n, 3] of network inputs [member, n, feature]; differentiable."""
-    import torch
-
-    values = inputs
-    for i, (weight, bias) in enumerate(layers):
-        if i:
-            values = torch.nn.functional.silu(values)
-        values = torch.baddbmm(bias[:, None, :], values, weight.transpose(1, 2))
-    return values
 
 
 @lru_cache(maxsize=16)
@@ -370,28 +254,6 @@ def _away(config: NormalModelConfig, block_px: int, device: torch.device) -> tor
 
     away = tensor_of(config.away(block_px), torch.float32) / AWAY
     return away.square().to(device)
-
-
-def expected_error(outputs: torch.Tensor) -> torch.Tensor:
-    """Expected angle of error [rad] [member, n] of raw outputs [member, n, 3]."""
-    return outputs[..., 2].clamp(-12.0, 2.0).exp() + MIN_ERROR_RAD
-
-
-def tilt_and_error(
-    layers: Sequence[tuple[torch.Tensor, torch.Tensor]],
-    inputs: torch.Tensor,
-    still: torch.Tensor,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Tilt [rad] [member, n, 2] and expected error [rad] [member, n] of network inputs.
-
-    ``inputs`` and ``still`` (the same pixels without change) have shape [member, n, feature];
-    differentiable.
-    """
-    import torch
-
-    both = network(layers, torch.cat([inputs, still], dim=1))
-    count = inputs.shape[1]
-    return both[:, :count, :2] - both[:, count:, :2], expected_error(both[:, :count])
 
 
 def relative_normals(tilt_rad: Array) -> Array:

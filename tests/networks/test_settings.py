@@ -21,6 +21,7 @@ from tests.networks.weights import COLOR, FORCE, NORMAL, random_weights
 SCALED = NormalModelConfig(
     48, 36, members=2, hidden=(8,), input_mean=(1.0,) * 23, input_scale=(2.0,) * 23
 )
+SMALL_BESIDE = replace(NORMAL, small_hidden=(5, 4))
 
 
 @pytest.mark.parametrize(
@@ -29,6 +30,7 @@ SCALED = NormalModelConfig(
         COLOR,
         replace(COLOR, position_bands=3),
         NORMAL,
+        SMALL_BESIDE,
         NormalModelConfig(40, 30, position_bands=2),
         SCALED,
         FORCE,
@@ -62,6 +64,7 @@ def test_settings_go_through_a_dict_and_refuse_other_keys(config):
         (NORMAL, {"position_bands": MAX_BANDS + 1}, r"normal model position_bands must lie in"),
         (NORMAL, {"input_mean": (0.0,)}, "numbers, one per feature"),
         (NORMAL, {"members": 0}, "at least 1"),
+        (NORMAL, {"small_hidden": (4, 0)}, "at least 1"),
         (NORMAL, {"presses_px": (40.0, 50.0)}, "presses_px"),
         (FORCE, {"patch_px": 8}, "patch_px must be 4"),
         (FORCE, {"rows": 0}, "sizes"),
@@ -90,6 +93,10 @@ def test_settings_of_no_sensor_are_refused(config, changes, message):
         (ColorModel, COLOR, "layer1.bias", np.full(8, np.nan), "NaN"),
         (ColorModel, COLOR, "layer0.weight", np.zeros((16, 18)), "have shapes"),
         (NormalModel, NORMAL, "layer0.weight", np.zeros((1, 2)), "expected"),
+        (NormalModel, SMALL_BESIDE, "small.layer0.weight", np.zeros((5, 2)), "expected"),
+        (NormalModel, SMALL_BESIDE, "small.layer2.bias", None, "have shapes"),
+        (NormalModel, SMALL_BESIDE, "small.layer1.bias", np.full(4, np.nan), "NaN"),
+        (NormalModel, NORMAL, "small.layer0.bias", np.zeros(4), "expected"),
         (ForceModel, FORCE, "down0.weight", np.zeros((3, 4, 3, 3)), "down0.weight"),
         (ForceModel, FORCE, "extra", np.zeros(2), "extra"),
         (ForceModel, FORCE, "hidden.bias", np.full(6, np.nan), "NaN"),

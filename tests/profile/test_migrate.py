@@ -168,6 +168,18 @@ def test_versions_that_only_lack_what_came_later(version: int, later: Any) -> No
     assert profile.blocks() == load_profile(OLD / f"v{version - 1}").blocks()
 
 
+def test_version_12_is_read_by_the_ensemble_alone() -> None:
+    """The stored folder has no small network; images read as they did."""
+    profile = old(12)
+    model = NormalModel.from_profile(profile)
+    assert "small_hidden" not in document(12)["normals"]["architecture"]
+    assert model.config.small_hidden == () and profile.background_rgb is not None
+    still = profile.background_rgb.astype(np.float32)
+    image = still + np.linspace(-30, 30, still.size, dtype=np.float32).reshape(still.shape)
+    found = model.predict(image, still).tilt_rad
+    assert found.mean(axis=(0, 1)) == pytest.approx([-0.05969814, -0.01643231], rel=1e-4)
+
+
 def test_version_11_may_have_a_damping_time_of_zero_alone() -> None:
     """The stored folder has one; any other is refused."""
     old(11)

@@ -15,9 +15,10 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.features import FeatureWindows, pixel_place, place_of_blocks
 from taccel_lab.reading.fixed_network import FixedNetwork
 from taccel_lab.reading.heights import ReadHeights, read_heights
+from taccel_lab.reading.network_answers import network
 from taccel_lab.reading.room import STEP, Room, require
 from taccel_lab.reading.slope_integration import height_from_slopes
-from taccel_lab.reading.slopes import NormalModel, network
+from taccel_lab.reading.slopes import NormalModel
 from tests.networks.weights import random_weights
 from tests.reading.test_slopes import WIDE, WIDE_GRID, dented
 
