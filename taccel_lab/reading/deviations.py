@@ -68,8 +68,8 @@ class HeightUncertainty:
             weights: As the heights were integrated with. Slopes of weight 0 count as exact.
             zero: Pixels that the height is counted from, likewise.
         """
-        operator, sigma, _, plane = self._seen(slope_sigma[self.part], weights, zero)
-        return as_given(operator.sigma_m(operator.at_points(sigma), plane), slope_sigma)
+        operator, sigma, counted, plane = self._seen(slope_sigma[self.part], weights, zero)
+        return as_given(operator.sigma_m(operator.at_points(sigma, counted), plane), slope_sigma)
 
     def along_m(
         self, slope: Array, slope_sigma: Array, *, weights: Any = None, zero: Any = None
@@ -88,7 +88,7 @@ class HeightUncertainty:
         import torch
 
         operator, sigma, counted, plane = self._seen(slope_sigma, weights, zero)
-        spread = operator.sigma_m(operator.at_points(sigma), plane)
+        spread = operator.sigma_m(operator.at_points(sigma, counted), plane)
         slopes = tensor_of(slope, torch.float64)
         steepness = torch.maximum(length2(slopes), sigma).clamp(min=TINY_SLOPE)
         error = operator.at_points(slopes.movedim(-1, 0) * (sigma / steepness), counted)
@@ -102,9 +102,13 @@ class HeightUncertainty:
         import torch
 
         sigma = tensor_of(slope_sigma, torch.float64)
-        operator = spread_operator(self.grid, self.error_length_px, self._every, sigma.device)
+        mask = b""
         if weights is not None:
-            weights = tensor_of(weights, like=sigma)[self.part].to(torch.float64)
+            weights = tensor_of(weights, like=sigma)
+            if not bool((weights > 0).all()):
+                mask = np.packbits((weights > 0).cpu().numpy()).tobytes()
+            weights = weights[self.part].to(torch.float64)
+        operator = spread_operator(self.grid, self.error_length_px, self._every, sigma.device, mask)
         if zero is not None:
             # Bytes become numbers in a quarter of the time that bits do.
             zero = tensor_of(zero, torch.bool, sigma).view(torch.uint8).to(torch.float32)

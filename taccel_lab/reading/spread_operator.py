@@ -10,7 +10,8 @@ with the noise's correlation K. Where R changes little over the reach of K this 
 ``R^2(x, z) t(z)`` with ``t = s (K * s)`` and K of sum 1: a rim that is narrower than errors reach
 counts by its width. Next to x, where R changes most, s^2 stands for t. Both sums are matrices from
 cells of the image to nodes, made once for a grid of pixels and a reach of errors. R is a product
-of rows and columns in the cosines that integrate slopes (``slope_integration``).
+of rows and columns in the cosines that integrate slopes (``slope_integration``), or, behind a mask,
+what a weighted Laplacian gives for each node, row after row of points.
 
 The plane that resting pixels take off is linear in the heights of nodes. How it goes together with
 them needs these heights themselves, by unit noise in each cell (``_modes``).
@@ -18,7 +19,7 @@ them needs these heights themselves, by unit noise in each cell (``_modes``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -26,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.masked_heights import shares_of_slopes
 from taccel_lab.reading.slope_integration import PLANE_PRIOR, border_of, inverse_laplacian
 
 if TYPE_CHECKING:
@@ -51,10 +53,11 @@ TINY_WEIGHT = 1e-6
 
 @lru_cache(maxsize=16)
 def spread_operator(
-    grid: PixelGrid, length_px: float, every: int, device: torch.device
+    grid: PixelGrid, length_px: float, every: int, device: torch.device, mask: bytes = b""
 ) -> SpreadOperator:
-    """The operator that all readings with these share."""
-    return SpreadOperator(grid, length_px, every, device)
+    """The operator that all readings with these share; ``mask``: packed bits of the pixels that
+    count, row by row, or none for all."""
+    return SpreadOperator(grid, length_px, every, device, mask)
 
 
 class SpreadOperator:
@@ -64,17 +67,27 @@ class SpreadOperator:
     pixels, float64 of fewer.
     """
 
-    def __init__(self, grid: PixelGrid, length_px: float, every: int, device: torch.device) -> None:
+    def __init__(
+        self, grid: PixelGrid, length_px: float, every: int, device: torch.device, mask: bytes = b""
+    ) -> None:
         """
         Args:
             grid: Of the heights.
             length_px: Standard deviation of the Gaussian that errors are smooth over [px].
             every: Rows and columns apart that slopes are given, from the ``every // 2``-th on.
             device: Of torch.
+            mask: As of ``spread_operator``.
         """
         import torch
 
         rows, columns = _axes(grid, length_px)
+        trust = None
+        if mask:
+            bits = np.unpackbits(np.frombuffer(mask, np.uint8), count=rows.count * columns.count)
+            seen = bits.reshape(rows.count, columns.count)
+            trust = (
+                resampling(rows.count, rows.size) @ seen @ resampling(columns.count, columns.size).T
+            )
         self._nodes = rows.nodes, columns.nodes
 
         def maps(of_axis: Callable[[_Axis], np.ndarray], dtype: torch.dtype) -> _ByAxes:
@@ -95,7 +108,7 @@ class SpreadOperator:
         self._points_to_pixels = whole(lambda a: resampling(a.size, a.count))
         self._far, self._near, self._modes = (
             torch.as_tensor(matrix, dtype=torch.float32, device=device)
-            for matrix in _matrices(rows, columns)
+            for matrix in _matrices(rows, columns, trust)
         )
         self._inverse = torch.as_tensor(_inverse(rows, columns), device=device)
         u, v = (
@@ -242,11 +255,15 @@ class _Axis:
         kept = np.exp(-0.5 * (np.pi * np.arange(self.size) * length / self.size) ** 2)
         return self.unwaved * kept @ self.waves
 
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """Smooth noise of points by unit noise of each, shape [size, size]."""
+        return self._smooth(self.length) / self.unit
+
     @property
     def by_noise(self) -> tuple[np.ndarray, np.ndarray]:
         """Waves of a slope's noise, shape [wave, size], and of its divergence along the axis."""
-        noise = self._smooth(self.length) / self.unit
-        return self.waves @ noise, self.waves @ self.flow @ noise
+        return self.waves @ self.noise, self.waves @ self.flow @ self.noise
 
     @property
     def flow(self) -> np.ndarray:
@@ -269,9 +286,14 @@ class _Axis:
         return even, even * (np.sin(angle) / self.step_m) ** 2
 
     @cached_property
+    def at_nodes(self) -> np.ndarray:
+        """Value at each node by those of points, shape [node, size]."""
+        return np.maximum(0.0, 1.0 - np.abs(self._away()))
+
+    @cached_property
     def node_waves(self) -> np.ndarray:
         """Height of each node by waves, shape [node, wave]."""
-        return np.maximum(0.0, 1.0 - np.abs(self._away())) @ self.unwaved
+        return self.at_nodes @ self.unwaved
 
     @property
     def near(self) -> np.ndarray:
@@ -307,12 +329,12 @@ def _axes(grid: PixelGrid, length_px: float) -> tuple[_Axis, _Axis]:
     return axis(grid.height_px, grid.mm_per_px_y), axis(grid.width_px, grid.mm_per_px_x)
 
 
-def _matrices(rows: _Axis, columns: _Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _matrices(
+    rows: _Axis, columns: _Axis, trust: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Variance of each node [m2] by t and by s^2 of each cell, shape [node, cell], and its height
-    [m] by unit noise of the slope along x, then along y, of each cell, shape [node, 2 cell]."""
-    (by_row, out_of_row), (by_column, out_of_column) = rows.by_noise, columns.by_noise
-    from_rows, from_columns = rows.node_waves, columns.node_waves
-    inverse = _inverse(rows, columns)
+    [m] by unit noise of the slope along x, then along y, of each cell, shape [node, 2 cell].
+    ``trust``: part of each point that counts; all of it when None."""
     near = rows.near[:, :, None, None] * columns.near
     cells, wide = (
         [
@@ -322,12 +344,7 @@ def _matrices(rows: _Axis, columns: _Axis) -> tuple[np.ndarray, np.ndarray, np.n
         for counts in ((rows.nodes, columns.nodes), (rows.wide, columns.wide))
     )
     found = []
-    for row, column in ((by_row, out_of_column), (out_of_row, by_column)):
-        # Node and point along one axis know nothing of those along the other but by the Laplacian.
-        left = (from_rows[:, None] * row.T).reshape(-1, rows.size)
-        right = (from_columns[:, None] * column.T).reshape(-1, columns.size)
-        height = left.astype(np.float32) @ (inverse @ right.T).astype(np.float32)
-        height = height.reshape(rows.nodes, rows.size, columns.nodes, columns.size)
+    for height in _by_waves(rows, columns) if trust is None else _masked(rows, columns, trust):
         square = height**2
         close = square * near.astype(np.float32)
         found.append(
@@ -344,6 +361,29 @@ def _matrices(rows: _Axis, columns: _Axis) -> tuple[np.ndarray, np.ndarray, np.n
     near *= (1.0 + missed / near.sum(1))[:, None]
     noises = np.sqrt(rows.size * columns.size / (rows.wide * columns.wide))
     return far, near, np.concatenate([x, y], axis=1) / noises
+
+
+def _by_waves(rows: _Axis, columns: _Axis) -> Iterator[np.ndarray]:
+    """Height of each node [m] by unit noise of the slope at each point, along x, then along y,
+    float32, shape [node row, point row, node column, point column]."""
+    (by_row, out_of_row), (by_column, out_of_column) = rows.by_noise, columns.by_noise
+    inverse = _inverse(rows, columns)
+    for row, column in ((by_row, out_of_column), (out_of_row, by_column)):
+        # Node and point along one axis know nothing of those along the other but by the Laplacian.
+        left = (rows.node_waves[:, None] * row.T).reshape(-1, rows.size)
+        right = (columns.node_waves[:, None] * column.T).reshape(-1, columns.size)
+        height = left.astype(np.float32) @ (inverse @ right.T).astype(np.float32)
+        yield height.reshape(rows.nodes, rows.size, columns.nodes, columns.size)
+
+
+def _masked(rows: _Axis, columns: _Axis, trust: np.ndarray) -> Iterator[np.ndarray]:
+    """The same where points count by ``trust`` alone."""
+    places = rows.at_nodes[:, None, :, None] * columns.at_nodes[:, None]
+    places = places.reshape(-1, rows.size, columns.size)
+    for share in shares_of_slopes(places, trust, (columns.step_m, rows.step_m)):
+        height = (rows.noise.T @ share @ columns.noise).astype(np.float32)
+        height = height.reshape(rows.nodes, columns.nodes, rows.size, columns.size)
+        yield np.ascontiguousarray(height.transpose(0, 2, 1, 3))
 
 
 def _inverse(rows: _Axis, columns: _Axis) -> np.ndarray:
