@@ -62,6 +62,7 @@ def read_heights(
     left_out: int | None = None,
     uncertainty: bool = True,
     around: np.ndarray | None = None,
+    resting: np.ndarray | None = None,
     coarse: bool = False,
 ) -> ReadHeights[Array]:
     """Read an image, or several at once, on the model's device.
@@ -78,13 +79,15 @@ def read_heights(
         uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
         around: Blocks that smaller ones may be read in (``NormalModel.predict``), and that heights
             are integrated pixel by pixel in.
+        resting: Blocks of ``LARGEST_PX`` pixels that heights may be counted from, bool; all when
+            None.
         coarse: Whether blocks of ``LARGEST_PX`` pixels are all that is read and integrated; the
             maps are of these, on ``grid.thinned(LARGEST_PX)``.
     """
     import torch
 
     options = _Options(model, grid, left_out, uncertainty, coarse)
-    given = mask, rest_normals, around
+    given = mask, rest_normals, around, resting
     if model.device == "cpu" and image.ndim > 3 and len(image) and room() is None:
         # Sums and products round by how much there is at once, which saves no time here.
         each = tensor_of(image).flatten(0, -4)
@@ -108,7 +111,13 @@ class _Options:
     coarse: bool
 
     def read(
-        self, image: torch.Tensor, background: Any, mask: Any, rest_normals: Any, around: Any
+        self,
+        image: torch.Tensor,
+        background: Any,
+        mask: Any,
+        rest_normals: Any,
+        around: Any,
+        resting: Any,
     ) -> ReadHeights[torch.Tensor]:
         """Read images of the model's device, all at once."""
         found = self.model.predict(
@@ -124,7 +133,7 @@ class _Options:
             rest = tensor_of(of_blocks(rest_normals, every), like=slope)
             slope = slope + rest[..., :2] / rest[..., 2:]
         step = 1 if self.coarse else CELL_PX
-        zero = resting_border(found, mask, step)
+        zero = resting_border(found, mask, step, resting)
         # Sizes of a recording do not follow what is touched; all pixels cost a GPU little.
         whole = self.coarse or around is None or room() is not None
         rise = risen(slope, grid, zero, mask, step, None if whole else _span(around))
@@ -135,7 +144,13 @@ class _Options:
         return with_deviations(read, config, grid, mask, every) if self.uncertainty else read
 
     def recorded(
-        self, image: Any, background: Any, mask: Any, rest_normals: Any, around: Any
+        self,
+        image: Any,
+        background: Any,
+        mask: Any,
+        rest_normals: Any,
+        around: Any,
+        resting: Any,
     ) -> ReadHeights[torch.Tensor]:
         """Read images by a recording (``recorded``)."""
         import torch
@@ -144,8 +159,8 @@ class _Options:
 
         if mask is not None and mask.all():
             mask = None
-        kinds = (None, torch.float32, torch.bool, None, torch.bool)
-        values = (image, background, mask, rest_normals, around)
+        kinds = (None, torch.float32, torch.bool, None, torch.bool, torch.bool)
+        values = (image, background, mask, rest_normals, around, resting)
         return replayed(
             self.model.recordings,
             (self.grid, self.left_out, self.uncertainty, self.coarse),
@@ -285,10 +300,13 @@ def with_deviations(
 
 
 def resting_border(
-    found: NormalMap[torch.Tensor], mask: np.ndarray | None = None, cell_px: int = 1
+    found: NormalMap[torch.Tensor],
+    mask: np.ndarray | None = None,
+    cell_px: int = 1,
+    resting: Any = None,
 ) -> torch.Tensor:
-    """Cells of the border that are flat in their middle, bool, shape [..., h, w]; the whole border
-    where next to none are."""
+    """Cells of the border that are flat in their middle, bool, shape [..., h, w], and the whole
+    border where next to none are; of those in blocks that are ``resting`` (``read_heights``)."""
     import torch
 
     middles = (..., slice(cell_px // 2, None, cell_px), slice(cell_px // 2, None, cell_px))
@@ -306,4 +324,13 @@ def resting_border(
     border = torch.ones_like(flat)
     border[..., 1:-1, 1:-1] = False
     enough = flat.sum(dim=(-2, -1), keepdim=True) > 0.2 * (rows + columns)
+    zero = torch.where(enough, flat, border)
+    if resting is None:
+        return zero
+    times = -(-rows // resting.shape[-2])
+    wide = tensor_of(resting, torch.bool, flat)
+    wide = wide.repeat_interleave(times, dim=-1).repeat_interleave(times, dim=-2)
+    wide = wide[..., :rows, :columns]
+    flat, border = zero & wide, border & wide
+    enough = flat.sum(dim=(-2, -1), keepdim=True) > 0.2 * border.sum(dim=(-2, -1), keepdim=True)
     return torch.where(enough, flat, border)

@@ -227,7 +227,7 @@ class PressureReader:
                 film = reading_mm / float(pressed.mean())
                 pressure = self._solved(gap, self.layer, pressure, film)
             sigma_mm = 1e3 * self._small(height_sigma_m, part)
-            interval, areas = self._intervals(pressure, gap, sigma_mm, film)
+            interval, areas = self._intervals(pressure, gap, sigma_mm, film, touch.most_mm2)
         whole[part] = pressure
         limits = self._limits(-float(gap.min()), whole)
         if self._overstress is None:
@@ -267,16 +267,23 @@ class PressureReader:
         return total, interval, said
 
     def _intervals(
-        self, pressure: np.ndarray, gap: np.ndarray, sigma: np.ndarray, film: float
+        self,
+        pressure: np.ndarray,
+        gap: np.ndarray,
+        sigma: np.ndarray,
+        film: float,
+        most_mm2: float,
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """95 % intervals of the force [N] and of the area [mm2]."""
+        """95 % intervals of the force [N] and of the area [mm2], of ``most_mm2`` at most: where a
+        face rises slowly, what lies too low to count as touched may be."""
         far = NORMAL_95 * sigma
         shallow = self._solved(gap + far, self.layer, pressure, film, ENDS)
         # As far on the other side, until it is known better.
         start = np.maximum(2 * pressure - shallow, 0.0)
         deep = self._solved(gap - far, self.layer, start, film, ENDS)
         area, less, more = (self._area_mm2(found) for found in (pressure, shallow, deep))
-        seen = min(area, less), max(area, more)
+        shallow_mm2 = most_mm2 if less == 0.0 else 0.0
+        seen = min(area, less), max(area, more, shallow_mm2)
         areas = _widened(area, seen, (self._scale,), (self._scale,))
         force, lower, higher = (self._force_n(found) for found in (pressure, shallow, deep))
         by_gel = []

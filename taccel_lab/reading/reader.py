@@ -19,11 +19,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
+from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.heights import ReadHeights, on_pixels, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
 from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
+from taccel_lab.reading.rest import RestingPart, resting_part
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.stage_clock import StageClock
 from taccel_lab.reading.touch import likely_touched, touch_of
@@ -55,6 +57,8 @@ class LitImage:
     around: np.ndarray | None = None
     """Blocks (``blocks``) that a coarse look takes for touched, with those beside them, bool, which
     are read pixel by pixel; None for all."""
+    rest: RestingPart | None = None
+    """The part that heights are counted from; None where it is the whole border."""
     seen: ReadHeights | None = None
     """What a coarse look saw of an image that shows no touch: there is no more to be read."""
     remark: str = ""
@@ -215,17 +219,17 @@ class Reader:
             steady = frame.still.remove(frame.levels) / common.factor[..., None]
             even, remark = frame.with_levels(frame.still.apply(steady)), common.remark
 
-        def shown(light: LightDrift, around: np.ndarray | None = None) -> LitImage:
+        def shown(light: LightDrift, **seen: Any) -> LitImage:
             levels = light.on(self._day).removed(even.levels)
-            return LitImage(frame, levels, light, even.still, around, remark=remark)
+            return LitImage(frame, levels, light, even.still, remark=remark, **seen)
 
         first = shown(even.still)
         self.clock.begin("touch")
-        dented, around, seen = self._look(first)
+        dented, around, rest, seen = self._look(first)
         if not dented:
             return replace(first, around=around, seen=seen)
         self.clock.begin("light")
-        return shown(even.pressed, around)
+        return shown(even.pressed, around=around, rest=rest)
 
     def in_own_light(self, levels: np.ndarray) -> np.ndarray:
         """An image in the profile's light as the untouched sensor's own light shows it."""
@@ -242,12 +246,14 @@ class Reader:
             else np.where(lit.frame.seen[..., None], lit.levels, shown)
         )
 
-    def _look(self, lit: LitImage) -> tuple[bool, np.ndarray | None, ReadHeights | None]:
-        """Whether a coarse look at an image shows a contact, the blocks where one may be
-        (``LitImage.around``), and what it saw where there is none."""
+    def _look(
+        self, lit: LitImage
+    ) -> tuple[bool, np.ndarray | None, RestingPart | None, ReadHeights | None]:
+        """Whether a coarse look at an image shows a contact, the blocks where one may be and those
+        at rest (``LitImage``), and what it saw where there is none."""
         if self.response is not None:
             rise_m = self.response.read(lit.levels, self._bare, self.mask).height_m
-            return touch_of(rise_m, None, self.grid).any, None, None
+            return touch_of(rise_m, None, self.grid).any, None, None, None
         found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
@@ -255,7 +261,18 @@ class Reader:
             sigma_m = together(sigma_m, light_m)
         dented = touch_of(found.rise_m, sigma_m, self.grid.thinned(LARGEST_PX)).any
         around = likely_touched(found.rise_m, sigma_m, AROUND_BLOCKS)
-        return dented, around, None if around.any() else found
+        rest = self._rest_of(found)
+        if rest is not None:
+            return True, around | rest.rims, rest, None
+        return dented, around, None, None if around.any() else found
+
+    def _rest_of(self, found: ReadHeights) -> RestingPart | None:
+        """The part of an image that its heights are counted from, by a coarse look at it."""
+        grid = self.grid.thinned(LARGEST_PX)
+        counted = None if self.mask is None else of_blocks(self.mask, LARGEST_PX) > 0.5
+        tilt_deg = np.degrees(np.hypot(*np.moveaxis(found.normals.tilt_rad, -1, 0)))
+        layer = None if self._pressure is None else self._pressure.layer
+        return resting_part(tilt_deg, np.asarray(found.slope), grid, layer, counted)
 
     def surface(self, lit: LitImage, name: str = "image") -> Reading:
         """The surface under an image of ``lit``, without the pressure that holds it."""
@@ -300,6 +317,7 @@ class Reader:
             mask=self.mask,
             rest_normals=self._rest_normals,
             around=lit.around,
+            resting=None if lit.rest is None else lit.rest.blocks,
             uncertainty=uncertainty,
             coarse=coarse,
         )
@@ -316,8 +334,13 @@ class Reader:
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
             sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, still_m)
+        rise_m, rest = found.rise_m, lit.rest
+        if rest is not None:
+            rise_m = rise_m + rest.bulge_m
+            if sigma_m is not None:
+                sigma_m = together(sigma_m, np.full_like(sigma_m, rest.sigma_m))
         return self._reading(
-            lit, name, found.rise_m, sigma_m, alone_m,
+            lit, name, rise_m, sigma_m, alone_m,
             method="normals",
             normals=read.normals,
             sigma_deg=read.sigma_deg,
@@ -368,6 +391,9 @@ class Reader:
         alone_m: np.ndarray | None,
         **by_method: Any,
     ) -> Reading:
+        rest = lit.rest
+        pressed = None if rest is None else _on_pixels(rest.pressed, rise_m.shape)
+        said = (lit.remark, "" if rest is None else rest.remark)
         return Reading(
             grid=self.grid,
             image=lit.frame.image,
@@ -377,9 +403,9 @@ class Reader:
             depth_m=-rise_m,
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
-            touch=touch_of(rise_m, alone_m, self.grid),
+            touch=touch_of(rise_m, alone_m, self.grid, pressed),
             sigma_of=self.sigma_of,
-            remarks=(*self.remarks, lit.remark) if lit.remark else self.remarks,
+            remarks=(*self.remarks, *(remark for remark in said if remark)),
             **by_method,
         )
 
@@ -391,6 +417,12 @@ class Reader:
     def _light_errors(self) -> LightErrors:
         assert self.normal_model is not None
         return LightErrors(self.normal_model, self._bare, self.grid, self.mask, self._rest_normals)
+
+
+def _on_pixels(blocks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Flags of the largest blocks on all pixels of an image."""
+    wide = blocks.repeat(LARGEST_PX, axis=0).repeat(LARGEST_PX, axis=1)
+    return wide[: shape[0], : shape[1]]
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

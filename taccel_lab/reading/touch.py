@@ -18,6 +18,8 @@ from taccel_lab.reading.heights import BAND_SIGMAS
 CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
 """Pixels pressed deeper than this and than this share of the deepest one may count as touched."""
+FLAT_SHARE = 0.3
+"""Likewise of the deepest one, of places that a flat tool's rim shows to be pressed."""
 SURE_SIGMAS = 3.0
 """Standard deviations by which a place is surely deeper. Of the many places of an image that may
 err by themselves, one in four images has one beyond 2 standard deviations, one in forty beyond
@@ -36,6 +38,9 @@ class Touch:
     """Depth that a touched pixel has at least [mm]."""
     unseen_mm: float
     """Upper end [mm] of the 95 % interval of a depth anywhere in the image, where none is seen."""
+    most_mm2: float = 0.0
+    """Area of all that lies lower than a share of the deepest place and hangs together with what is
+    touched [mm2]: no contact is larger."""
 
     @property
     def any(self) -> bool:
@@ -43,7 +48,12 @@ class Touch:
         return bool(self.pixels.any())
 
 
-def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) -> Touch:
+def touch_of(
+    rise_m: np.ndarray,
+    sigma_m: np.ndarray | None,
+    grid: PixelGrid,
+    pressed: np.ndarray | None = None,
+) -> Touch:
     """Decide it.
 
     Args:
@@ -51,6 +61,8 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
         sigma_m: Its standard deviation where nothing touches [m], shape [h, w]; None where the
             profile does not state one: depths above ``CONTACT_MM`` then count.
         grid: Pixel grid of both.
+        pressed: Flat places that surely lie lower than what is at rest, bool, shape [h, w]: their
+            rim in the image shows it (``rest``). None of none.
     """
     import cv2
 
@@ -61,13 +73,23 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
     sure_mm = np.maximum(SURE_SIGMAS * sigma_mm, CONTACT_MM)
     wide = (depth_mm > least_mm) & (depth_mm > BAND_SIGMAS * sigma_mm)
     sure = depth_mm > sure_mm
+    if pressed is not None:
+        least_mm = min(least_mm, FLAT_SHARE * max(deepest, 0.0))
+        flat = pressed & (depth_mm > least_mm)
+        wide, sure = wide | flat, sure | flat
     count, parts = cv2.connectedComponents(wide.astype(np.uint8))
     spots = np.bincount(parts[sure & wide], minlength=count)
     touched = spots * grid.mm_per_px_x * grid.mm_per_px_y >= LEAST_MM2
     touched[0] = False
     pixels = touched[np.asarray(parts, dtype=int)]
     unseen_mm = float((np.maximum(depth_mm, 0.0) + BAND_SIGMAS * sigma_mm).max())
-    return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM))
+    most_mm2 = 0.0
+    if pixels.any():
+        _, parts = cv2.connectedComponents((depth_mm > CONTACT_SHARE * deepest).astype(np.uint8))
+        parts = np.asarray(parts, dtype=int)
+        touched = np.bincount(parts[pixels], minlength=int(parts.max()) + 1) > 0
+        most_mm2 = float(touched[parts].sum()) * grid.mm_per_px_x * grid.mm_per_px_y
+    return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM), most_mm2)
 
 
 def likely_touched(rise_m: np.ndarray, sigma_m: np.ndarray | None, beside: int) -> np.ndarray:
