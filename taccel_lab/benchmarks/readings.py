@@ -19,6 +19,8 @@ import torch
 
 from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
+from taccel_lab.calibration.normals.small_network_fit import Lesson, taught
+from taccel_lab.calibration.press_options import InverseFitOptions
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.features import color_change, image_features
@@ -34,6 +36,8 @@ SCALES_PX = (0.7, 1.3, 2.5, 5.1)
 STEEPEST_RAD = 0.6
 LOG_ERROR = -4.0
 """Logarithm of the expected error [rad]."""
+TAUGHT = 100
+"""Steps of a fit after which the small network is taught."""
 CPU_AIM_PER_S, GPU_AIM_PER_S = 20, 500
 
 
@@ -77,7 +81,7 @@ class Readings(Suite):
 
 
 def networks(grid: PixelGrid, device: str) -> NormalModel:
-    """Seeded networks of the real architecture that read a dent."""
+    """Seeded networks of the real architecture that read a dent, and a small one taught by them."""
     scales = (0.0, *SCALES_PX)
     blank = NormalModelConfig(
         grid.width_px,
@@ -115,7 +119,10 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
         weights["layer3.weight"][k, :2] = found[:-1].T
         weights["layer3.weight"][k, 2] *= 0.1
         weights["layer3.bias"][k] = *found[-1], LOG_ERROR
-    return NormalModel(config, weights, device)
+    ensemble, pixels = NormalModel(config, weights), torch.from_numpy(inputs)
+    shown, left_out = (Lesson.by(ensemble, pixels[k::2]) for k in range(2))
+    both = taught(ensemble, shown, left_out, InverseFitOptions(steps=TAUGHT))
+    return NormalModel(both.config, both.weights, device)
 
 
 def presses(grid: PixelGrid, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

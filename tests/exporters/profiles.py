@@ -134,8 +134,9 @@ def drawn_weights(config: NormalModelConfig | ForceModelConfig, seed: int) -> di
 
 
 def with_normals(profile: SensorProfile) -> SensorProfile:
-    """The profile with a normals block of random weights."""
-    config = NormalModelConfig(profile.camera.width_px, profile.camera.height_px)
+    """The profile with a normals block of random weights, a small network's among them."""
+    size = profile.camera.width_px, profile.camera.height_px
+    config = NormalModelConfig(*size, small_hidden=(7, 5))
     block = NormalsBlock(architecture=config.to_dict(), provenance=MADE_UP)
     return profile.with_block(block, drawn_weights(config, 3))
 

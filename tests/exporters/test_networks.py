@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from safetensors import safe_open
+from safetensors.numpy import load_file
 
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.export import export_profile
 from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals.color_model import ColorModel
@@ -76,6 +78,21 @@ def test_onnx_normals_are_those_of_the_model(both: SensorProfile, tmp_path: Path
     np.testing.assert_allclose(error, wanted_error, rtol=1e-5)
     described = json.loads((tmp_path / "out" / "models.json").read_text())
     assert described["normals"]["features"] == list(model.config.features)
+
+
+def test_the_small_network_goes_along(both: SensorProfile, tmp_path: Path) -> None:
+    """Its weights beside the ensemble's, and the formula that it answers by."""
+    export_profile(both, "safetensors", tmp_path / "out")
+    weights = load_file(tmp_path / "out" / "normal_model.safetensors")
+    described = json.loads((tmp_path / "out" / "models.json").read_text())["normals"]
+    assert described["architecture"]["small_hidden"] == [7, 5] and "small.*" in described["formula"]
+    model = NormalModel.from_profile(both)
+    again = NormalModel(NormalModelConfig.from_dict(described["architecture"]), weights)
+    assert both.background_rgb is not None
+    still = both.background_rgb.astype(np.float32)
+    image = np.clip(still + 20.0 * np.sin(np.arange(320) / 15.0)[None, :, None], 0, 255)
+    found, wanted = (each.predict(image, still) for each in (again, model))
+    assert np.array_equal(found.tilt_rad, wanted.tilt_rad) and found.tilt_rad.any()
 
 
 @pytest.mark.thorough

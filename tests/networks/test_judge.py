@@ -48,6 +48,22 @@ def test_a_scale_of_another_network_is_refused():
     assert "color model answers up to" in str(said)
 
 
+def test_a_small_network_that_no_sensor_has_is_refused():
+    config = replace(NORMAL, small_hidden=(6, 5))
+    weights = random_weights(config)
+
+    def fault(factor: float) -> str | None:
+        name = "small.layer2.weight"
+        scaled = {**weights, name: weights[name] * np.float32(factor)}
+        return network_fault("normals", config.to_dict(), scaled, (40, 30), {})
+
+    assert fault(1.0) is None
+    assert "normal model's small network answers up to" in str(fault(100.0))
+    without = {name: value for name, value in weights.items() if not name.startswith("small.")}
+    said = network_fault("normals", config.to_dict(), without, (40, 30), {})
+    assert "do not fit its settings: small.layer0.bias" in str(said)
+
+
 def test_answers_lie_between_the_least_and_the_most():
     bounds = (0.5, 2.0, "N", "more is none")
     require_answers("it", np.full(100, 1.0), *bounds)

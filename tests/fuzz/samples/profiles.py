@@ -112,7 +112,7 @@ def _profile() -> SensorProfile:
     shared = sample_blocks()
     rng = np.random.default_rng(7)
     color = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
-    normal = NormalModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
+    normal = NormalModelConfig(GRID.width_px, GRID.height_px, hidden=(3,), small_hidden=(2,))
     return SensorProfile(
         sensor=shared.sensor,
         gel=shared.gel,
