@@ -182,6 +182,8 @@ class LiveSheet:
         self.server = server
         self.stop = threading.Event()
         self._pictures: dict[str, list[tuple[str, np.ndarray]]] = {}
+        self._last: dict[str, tuple[LiveReading, np.ndarray]] = {}
+        self._showing = threading.Lock()
         self._surfaces = SurfaceView(server)
         wide_panel(server)
         server.gui.add_button("Stop").on_click(lambda _: self.stop.set())
@@ -194,6 +196,9 @@ class LiveSheet:
 
     def _choose(self) -> None:
         self._relief.visible = self._in_space
+        # The next frame may be long in coming.
+        for name, last in list(self._last.items()):
+            self.show(name, *last)
 
     @property
     def _in_space(self) -> bool:
@@ -201,6 +206,11 @@ class LiveSheet:
 
     def show(self, name: str, reading: LiveReading, background: np.ndarray) -> None:
         """Show what a sensor reads beside the others, in the order of the names."""
+        with self._showing:
+            self._last[name] = reading, background
+            self._show(name, reading, background)
+
+    def _show(self, name: str, reading: LiveReading, background: np.ndarray) -> None:
         if not self._in_space:
             self._show_pictures(name, pictures(reading, background))
         elif reading.reading is None and not reading.refused:
@@ -315,10 +325,12 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         depth, *pressed = (words.replace(SPREAD, " ±") for words in found.words)
         lines.append(PageText("## {}").format(depth))
         lines += [PageText("**{}**").format(text) for text in pressed]
-        lines += [PageText("*{}*").format(text) for text in found.notes]
+        # What the profile says of itself stands above.
+        told = reader.profile.sensor.provenance.remarks
+        lines += [PageText("*{}*").format(text) for text in found.notes if text not in told]
     if reading.markers is not None:
         seen, moved = reading.markers.seen, reading.markers.uv_px - reading.markers.rest_px
-        largest = float((moved**2).sum(axis=1).max() ** 0.5)
+        largest = float((moved[seen] ** 2).sum(axis=1).max(initial=0.0) ** 0.5)
         unread = reading.markers.unread and f"; this frame is not read, {reading.markers.unread}"
         lines.append(
             f"{int(seen.sum())} of {len(seen)} markers seen, largest displacement {largest:.1f} px"

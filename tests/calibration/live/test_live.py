@@ -22,7 +22,7 @@ from taccel_lab.benchmarks.readings import networks, presses
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.page import FIGURES_EVERY_S
-from taccel_lab.calibration.live.reader import LiveReader
+from taccel_lab.calibration.live.reader import LiveReader, SeenMarkers
 from taccel_lab.calibration.live.run import Latency, LiveResult, live_session, run_together
 from taccel_lab.calibration.live.surface_view import LOADED_S, surface_mesh
 from taccel_lab.errors import InputError
@@ -30,7 +30,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import NormalsBlock, SensorProfile
 from taccel_lab.reading.dots import marker_picture
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
-from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
 from tests.calibration.drawn.faults import quantise
 from tests.calibration.grey.test_depth import DEEPEST_MM, GRID, grey_unit
 from tests.calibration.record.sessions import SteeredCamera
@@ -276,6 +276,21 @@ def test_markers_of_a_real_video_are_followed(monkeypatch: pytest.MonkeyPatch) -
     assert moved[0] < 1.0 and max(moved) > 3.0
 
 
+@pytest.mark.thorough
+def test_what_is_guessed_or_known_is_not_told_of_a_frame() -> None:
+    """How far unseen markers went is a guess; what the profile says of itself stands above."""
+    profile = stock_sensor("gelsight_mini")
+    assert profile.background_rgb is not None
+    reader = LiveReader(profile, profile.background_rgb)
+    reading = reader.read(quantise(profile.background_rgb))
+    rest = np.array([[10.0, 10.0], [40.0, 10.0]])
+    markers = SeenMarkers(rest + [[1.0, 0.0], [9.0, 0.0]], rest, np.array([True, False]), "")
+    text = live.figures_text(replace(reading, markers=markers), reader)
+    assert "1 of 2 markers seen, largest displacement 1.0 px" in text
+    told = profile.sensor.provenance.remarks
+    assert told and not any(remark in text for remark in told)
+
+
 SLOW_MS = 60_000
 
 
@@ -335,6 +350,10 @@ def test_the_last_frame_is_shown_whatever_the_rate(tmp_path: Path) -> None:
         assert last is not None and last.words[0] in str(page._figures.content)
         assert sheet._surfaces._shown[""] is last
         assert [handle.visible for handle in sheet._surfaces._handles.values()] == [False, True]
+        # A click shows it the other way, whether another frame comes or not.
+        sheet._view.value = "pictures"
+        sheet._choose()
+        assert sheet._pictures[""] and not sheet._surfaces._shown
 
 
 @pytest.mark.thorough
