@@ -115,11 +115,16 @@ def _covered(image: np.ndarray, pitch_px: float) -> np.ndarray:
     if times > 1:
         size = max(1, round(width / times)), max(1, round(height / times))
         around = cv2.dilate(resized(grey, size), np.ones((3, 3), np.uint8))
-    size = 2 * round(0.5 * WINDOW_SHARE * pitch_px / times) + 1
-    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    window = _disc(round(0.5 * WINDOW_SHARE * pitch_px / times))
     around = cv2.morphologyEx(around, cv2.MORPH_CLOSE, window)
     if times > 1:
         around = cv2.resize(around, (width, height), interpolation=cv2.INTER_LINEAR)
     dark = (around - grey > DARKER * np.maximum(around, 1.0)).astype(np.uint8)
-    rim = 2 * max(1, round(MARGIN_SHARE * pitch_px)) + 1
-    return cv2.dilate(dark, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (rim, rim))) > 0
+    return cv2.dilate(dark, _disc(max(1, round(MARGIN_SHARE * pitch_px)))) > 0
+
+
+def _disc(radius_px: int) -> np.ndarray:
+    """Pixels of a disc, uint8: the same however a picture is turned, as OpenCV's ellipses are
+    not."""
+    away = np.arange(-radius_px, radius_px + 1)
+    return (np.hypot(away[:, None], away) <= radius_px + 0.3).astype(np.uint8)

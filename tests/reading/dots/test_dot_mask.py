@@ -12,7 +12,7 @@ from taccel_lab.reading.dots import dot_mask
 from taccel_lab.reading.dots.dot_mask import DotMask, painted_over
 from taccel_lab.reading.reader import Reader
 from taccel_lab.sensors.profile import stock_sensor
-from tests.calibration.drawn.dots import HEIGHT, WIDTH, draw_dots, grid_points
+from tests.calibration.drawn.dots import HEIGHT, WIDTH, draw_dots, grid_points, picture
 from tests.calibration.drawn.faults import quantise, vignette
 from tests.support.real_data import real_data
 
@@ -73,6 +73,22 @@ def test_dots_that_go_along_with_the_gel_stay_covered() -> None:
         to_dot = np.hypot(u[..., None] - points[:, 0], v[..., None] - points[:, 1]).min(axis=-1)
         assert not free[to_dot <= 4.0].any()
     assert free.mean() > 0.55
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_turned_picture_has_turned_dots(turns: int) -> None:
+    rng = np.random.default_rng(4)
+    rest, press = (
+        np.repeat(picture(GRID + way, 5.5, noise=1.0)[..., None], 3, axis=-1).astype(np.float32)
+        for way in (0.0, 4.0)
+    )
+    change = rng.normal(0.0, 9.0, rest.shape).astype(np.float32)
+    straight, turned = DotMask.of(rest), DotMask.of(np.rot90(rest, turns))
+    assert straight is not None and turned is not None
+    covered, also = straight.covered(press), turned.covered(np.rot90(press, turns))
+    np.testing.assert_array_equal(also, np.rot90(covered, turns))
+    found = painted_over(np.rot90(change, turns), ~also)
+    assert np.abs(found - np.rot90(painted_over(change, ~covered), turns)).max() < 1e-4
 
 
 def test_dirt_is_not_searched_for_a_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
