@@ -28,6 +28,7 @@ import numpy as np
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.features import LEVELS_PER_UNIT, Blocks, FeatureWindows
+from taccel_lab.reading.room import room
 from taccel_lab.reading.windows import halved
 
 if TYPE_CHECKING:
@@ -149,11 +150,13 @@ def read_in_room(
         found = bend.new_empty((len(maps[0]), math.prod(shape) + 1))
         lines = found[:, :-1].unflatten(1, shape)
         mask = None if windows.mask is None else _any(windows.mask, size)[0]
-        flags, picked = kernels.finer_maps(maps[-1], flags, mask, lines)
-        wanted = here.size(f"blocks of {size} px", picked.sum(), picked.numel())
+        flags, picked = kernels.finer_maps(maps[-1], flags, span, mask, lines)
+        here.counted = picked.sum()
+        wanted = here.size(f"blocks of {size} px", here.counted, picked.numel())
         at = torch.nonzero_static(picked.flatten(), size=wanted, fill_value=picked.numel())[:, 0]
         found.index_copy_(1, at, answer(windows.sparse(size), at))
         maps.append(lines)
+    here.counted = None
     return kernels.painted_parts(maps, spans, windows.size[1:])
 
 
@@ -318,9 +321,11 @@ class TiltsAtRest:
         a change."""
         import torch
 
-        if not self._whole:
-            flat = known.flatten(1)
+        here = room()
+        if not self._whole and here is not None:
+            flat, counted, here.counted = known.flatten(1), here.counted, None
             self._tilts = ask(torch.cat([flat.new_zeros((varying, flat.shape[1])), flat]))
+            here.counted = counted
             self._asked.fill_(True)
             self._whole = True
 

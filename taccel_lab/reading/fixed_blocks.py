@@ -86,6 +86,13 @@ def _bend_kernel(tilts: wp.array4d(dtype=float), found: wp.array3d(dtype=float))
     found[image, row, column] = most
 
 
+@wp.func
+def _reach(span: wp.array2d(dtype=int), image: int, end: int, value: int):
+    # Most have been passed already, which is seen faster than it is done.
+    if span[image, end] < value:
+        wp.atomic_max(span, image, end, value)
+
+
 @wp.kernel(enable_backward=False)
 def _flag_kernel(
     bends: wp.array3d(dtype=float),
@@ -113,32 +120,33 @@ def _flag_kernel(
     found[image, row, column] = wp.uint8(0)
     if flag:
         found[image, row, column] = wp.uint8(1)
-        wp.atomic_max(span, image, 0, bends.shape[1] - row)
-        wp.atomic_max(span, image, 1, row + 1)
-        wp.atomic_max(span, image, 2, bends.shape[2] - column)
-        wp.atomic_max(span, image, 3, column + 1)
+        _reach(span, image, 0, bends.shape[1] - row)
+        _reach(span, image, 1, row + 1)
+        _reach(span, image, 2, bends.shape[2] - column)
+        _reach(span, image, 3, column + 1)
 
 
 @wp.func
-def _line(
-    values: wp.array4d(dtype=float), v: int, image: int, row: int, at: int, share: float
-) -> float:
-    before, after = values[v, image, row, at], values[v, image, row, at + 1]
-    return before + share * (after - before)
+def _read(values: wp.array4d(dtype=float), image: int, row: int, column: int) -> wp.vec3:
+    return wp.vec3(
+        values[0, image, row, column], values[1, image, row, column], values[2, image, row, column]
+    )
+
+
+@wp.func
+def _line(values: wp.array4d(dtype=float), image: int, row: int, at: int, share: float) -> wp.vec3:
+    before = _read(values, image, row, at)
+    if share == 0.0:
+        return before
+    return before + share * (_read(values, image, row, at + 1) - before)
 
 
 @wp.func
 def _between(
-    values: wp.array4d(dtype=float),
-    v: int,
-    image: int,
-    row: int,
-    column: int,
-    px: float,
-    part: wp.vec4i,
-) -> float:
-    """A pixel's value along lines between the middles of blocks of a part, which go on beyond the
-    outermost ones."""
+    values: wp.array4d(dtype=float), image: int, row: int, column: int, px: float, part: wp.vec4i
+) -> wp.vec3:
+    """What is read of a pixel, along lines between the middles of blocks of a part, which go on
+    beyond the outermost ones."""
     y = (float(row) + 0.5) / px - 0.5
     x = (float(column) + 0.5) / px - 0.5
     top = wp.clamp(int(wp.floor(y)), part[0], wp.max(part[1] - 2, part[0]))
@@ -147,56 +155,17 @@ def _between(
     down, across = y - float(top), x - float(left)
     if part[3] - part[2] < 2:
         across = 0.0
-    above = values[v, image, top, left]
-    if across != 0.0:
-        above = _line(values, v, image, top, left, across)
+    above = _line(values, image, top, left, across)
     if part[1] - part[0] < 2:
         return above
-    below = values[v, image, top + 1, left]
-    if across != 0.0:
-        below = _line(values, v, image, top + 1, left, across)
-    return above + down * (below - above)
+    return above + down * (_line(values, image, top + 1, left, across) - above)
 
 
-@wp.kernel(enable_backward=False)
-def _finer_kernel(
-    values: wp.array4d(dtype=float),
-    flags: wp.array3d(dtype=wp.uint8),
-    seen: wp.array2d(dtype=wp.uint8),
-    lines: wp.array4d(dtype=float),
-    finer: wp.array3d(dtype=wp.uint8),
-    picked: wp.array3d(dtype=wp.uint8),
-):
-    image, row, column = wp.tid()
-    part = wp.vec4i(0, values.shape[2], 0, values.shape[3])
-    for v in range(values.shape[0]):
-        lines[v, image, row, column] = _between(values, v, image, row, column, 2.0, part)
-    flag = flags[image, row // 2, column // 2]
-    finer[image, row, column] = flag
-    if seen.shape[0] > 0:
-        flag = wp.min(flag, seen[row, column])
-    picked[image, row, column] = flag
-
-
-@wp.kernel(enable_backward=False)
-def _part_kernel(
-    spans: wp.array3d(dtype=int),
-    sizes: wp.array(dtype=wp.vec2i),
-    found: wp.array2d(dtype=wp.vec4i),
-):
-    """First row, row after the last, and columns likewise, of the parts of each image that smaller
-    blocks count in."""
-    i, image = wp.tid()
-    whole, own = sizes[i], sizes[i + 1]
-    part = wp.vec4i(0, 0, 0, 0)
-    if spans[i, image, 1] > 0:
-        part = wp.vec4i(
-            2 * wp.max(whole[0] - spans[i, image, 0] - 1, 0),
-            wp.min(2 * wp.min(spans[i, image, 1] + 1, whole[0]), own[0]),
-            2 * wp.max(whole[1] - spans[i, image, 2] - 1, 0),
-            wp.min(2 * wp.min(spans[i, image, 3] + 1, whole[1]), own[1]),
-        )
-    found[i, image] = part
+@wp.func
+def _write(values: wp.array4d(dtype=float), image: int, row: int, column: int, read: wp.vec3):
+    values[0, image, row, column] = read[0]
+    values[1, image, row, column] = read[1]
+    values[2, image, row, column] = read[2]
 
 
 @wp.func
@@ -209,6 +178,52 @@ def _inside(row: int, column: int, px: int, part: wp.vec4i) -> bool:
     )
 
 
+@wp.func
+def _part(span: wp.array2d(dtype=int), image: int, whole: wp.vec2i, own: wp.vec2i) -> wp.vec4i:
+    """First row, row after the last, and columns likewise, of the part of an image that blocks half
+    as wide as those of a span count in."""
+    if span[image, 1] == 0:
+        return wp.vec4i(0, 0, 0, 0)
+    return wp.vec4i(
+        2 * wp.max(whole[0] - span[image, 0] - 1, 0),
+        wp.min(2 * wp.min(span[image, 1] + 1, whole[0]), own[0]),
+        2 * wp.max(whole[1] - span[image, 2] - 1, 0),
+        wp.min(2 * wp.min(span[image, 3] + 1, whole[1]), own[1]),
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _finer_kernel(
+    values: wp.array4d(dtype=float),
+    flags: wp.array3d(dtype=wp.uint8),
+    span: wp.array2d(dtype=int),
+    seen: wp.array2d(dtype=wp.uint8),
+    lines: wp.array4d(dtype=float),
+    finer: wp.array3d(dtype=wp.uint8),
+    picked: wp.array3d(dtype=wp.uint8),
+):
+    image, row, column = wp.tid()
+    whole = wp.vec2i(values.shape[2], values.shape[3])
+    part = _part(span, image, whole, wp.vec2i(lines.shape[2], lines.shape[3]))
+    if _inside(row, column, 1, part):
+        every = wp.vec4i(0, whole[0], 0, whole[1])
+        _write(lines, image, row, column, _between(values, image, row, column, 2.0, every))
+    flag = flags[image, row // 2, column // 2]
+    finer[image, row, column] = flag
+    if seen.shape[0] > 0:
+        picked[image, row, column] = wp.min(flag, seen[row, column])
+
+
+@wp.kernel(enable_backward=False)
+def _part_kernel(
+    spans: wp.array3d(dtype=int),
+    sizes: wp.array(dtype=wp.vec2i),
+    found: wp.array2d(dtype=wp.vec4i),
+):
+    i, image = wp.tid()
+    found[i, image] = _part(spans[i], image, sizes[i], sizes[i + 1])
+
+
 @wp.kernel(enable_backward=False)
 def _paint_blocks_kernel(
     eights: wp.array4d(dtype=float),
@@ -219,20 +234,16 @@ def _paint_blocks_kernel(
     found: wp.array4d(dtype=float),
 ):
     image, row, column = wp.tid()
-    values, fine, fair = found.shape[0], parts[1, image], parts[0, image]
+    fine, fair = parts[1, image], parts[0, image]
     if _inside(row, column, 1, parts[2, image]):
-        for v in range(values):
-            found[v, image, row, column] = ones[v, image, row, column]
+        _write(found, image, row, column, _read(ones, image, row, column))
     elif _inside(row, column, 2, fine):
-        for v in range(values):
-            found[v, image, row, column] = _between(twos, v, image, row, column, 2.0, fine)
+        _write(found, image, row, column, _between(twos, image, row, column, 2.0, fine))
     elif _inside(row, column, 4, fair):
-        for v in range(values):
-            found[v, image, row, column] = _between(fours, v, image, row, column, 4.0, fair)
+        _write(found, image, row, column, _between(fours, image, row, column, 4.0, fair))
     else:
         whole = wp.vec4i(0, eights.shape[2], 0, eights.shape[3])
-        for v in range(values):
-            found[v, image, row, column] = _between(eights, v, image, row, column, 8.0, whole)
+        _write(found, image, row, column, _between(eights, image, row, column, 8.0, whole))
 
 
 def textures(fine: torch.Tensor, coarse: torch.Tensor, before: torch.Tensor | None) -> torch.Tensor:
@@ -279,13 +290,19 @@ def flags_beside(
 
 
 def finer_maps(
-    values: torch.Tensor, flags: torch.Tensor, seen: torch.Tensor | None, lines: torch.Tensor
+    values: torch.Tensor,
+    flags: torch.Tensor,
+    span: torch.Tensor,
+    seen: torch.Tensor | None,
+    lines: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Flags on blocks half as wide, bytes, and those of them that are ``seen``, bool, shape [image,
-    h, w]; ``lines`` [value, image, h, w] gets what lies on lines between the blocks of before."""
+    h, w]; ``lines`` [value, image, h, w] gets what lies on lines between the blocks of before,
+    around the ``span`` of flags."""
     size = tuple(lines.shape[1:])
-    finer, picked = torch.empty((2, *size), dtype=torch.uint8, device=values.device)
-    given = [values, flags, bytes_of(seen, values.device), lines, finer, picked]
+    finer = torch.empty(size, dtype=torch.uint8, device=values.device)
+    picked = finer if seen is None else torch.empty_like(finer)
+    given = [values, flags, span, bytes_of(seen, values.device), lines, finer, picked]
     launch(_finer_kernel, size, given)
     return finer, picked.view(torch.bool)
 

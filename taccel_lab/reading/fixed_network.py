@@ -11,7 +11,7 @@ operations a number. Here it stays where it is made, and sums are of the same fl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
@@ -24,6 +24,50 @@ WARPS = 4
 """Warps of a block, of 32 rows each."""
 PART = 32
 """Inputs whose weights are in shared memory at once."""
+
+
+@wp.kernel(enable_backward=False)
+def _judge_kernel(
+    outputs: wp.array3d(dtype=float),
+    still: wp.array3d(dtype=float),
+    left_out: int,
+    factor: float,
+    least: float,
+    found: wp.array2d(dtype=float),
+):
+    k = wp.tid()
+    members = outputs.shape[0]
+    total, own, count = wp.vec2(0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), float(0.0)
+    for m in range(members):
+        tilt = wp.vec2(outputs[m, k, 0] - still[m, k, 0], outputs[m, k, 1] - still[m, k, 1])
+        error = wp.exp(wp.clamp(outputs[m, k, 2], -12.0, 2.0)) + least
+        if m != left_out:
+            total += tilt
+            count += 1.0
+        if left_out < 0:
+            own += wp.vec3(tilt[0], tilt[1], error) / float(members)
+        elif m == left_out:
+            own = wp.vec3(tilt[0], tilt[1], error)
+    spread = float(0.0)
+    for m in range(members):
+        if m != left_out:
+            p = outputs[m, k, 0] - still[m, k, 0] - total[0] / count
+            q = outputs[m, k, 1] - still[m, k, 1] - total[1] / count
+            spread += (p * p + q * q) / count
+    found[0, k] = own[0]
+    found[1, k] = own[1]
+    found[2, k] = wp.sqrt(factor * own[2] * factor * own[2] + spread)
+
+
+def judged(
+    outputs: torch.Tensor, still: torch.Tensor, left_out: int | None, factor: float, least: float
+) -> torch.Tensor:
+    """What ``Networks`` makes of outputs [member, n, 3] and tilts at rest [member, n, 2], shape
+    [3, n]; ``factor``: of the expected error, ``least``: of errors [rad]."""
+    found = torch.empty((3, outputs.shape[1]), device=outputs.device)
+    member = -1 if left_out is None else left_out
+    launch(_judge_kernel, (outputs.shape[1],), [outputs, still, member, factor, least, found])
+    return found
 
 
 class FixedNetwork:
@@ -40,13 +84,22 @@ class FixedNetwork:
             parts += [pad(bias, more), pad(weight.mT, more).flatten(1)]
         self._weights = torch.cat(parts, dim=1).contiguous()
 
-    def __call__(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Raw outputs, shape [member, n, outputs], of inputs [input, n]."""
+    def __call__(self, inputs: torch.Tensor, counted: torch.Tensor | None = None) -> torch.Tensor:
+        """Raw outputs, shape [member, n, outputs], of inputs [input, n], any beyond the first ones
+        that are ``counted``, int64."""
         members, rows, lanes = len(self._weights), inputs.shape[1], 32 * WARPS
         found = torch.empty((members, self._widths[-1], rows), device=inputs.device)
         size = members, -(-rows // lanes), lanes
-        launch(_network_kernel(self._widths), size, [inputs, self._weights, found], lanes)
+        given = [inputs, self._weights, _all(rows, inputs.device), found]
+        if counted is not None:
+            given[2] = counted.reshape(1)
+        launch(_network_kernel(self._widths), size, given, lanes)
         return found.mT
+
+
+@lru_cache(maxsize=64)
+def _all(rows: int, device: torch.device) -> torch.Tensor:
+    return torch.tensor([rows], device=device)
 
 
 def _padded(widths: tuple[int, ...]) -> list[int]:
@@ -94,6 +147,7 @@ def _network_kernel(widths: tuple[int, ...]) -> Any:
     def network_rows(
         inputs: wp.array2d(dtype=float),
         weights: wp.array2d(dtype=float),
+        counted: wp.array(dtype=wp.int64),
         outputs: wp.array3d(dtype=float),
         member: int,
         block: int,
@@ -104,9 +158,10 @@ def _network_kernel(widths: tuple[int, ...]) -> Any:
     def network_rows_kernel(
         inputs: wp.array2d(dtype=float),
         weights: wp.array2d(dtype=float),
+        counted: wp.array(dtype=wp.int64),
         outputs: wp.array3d(dtype=float),
     ):
         member, block, thread = wp.tid()
-        network_rows(inputs, weights, outputs, member, block, thread)
+        network_rows(inputs, weights, counted, outputs, member, block, thread)
 
     return network_rows_kernel

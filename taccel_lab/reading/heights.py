@@ -15,7 +15,13 @@ from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.deviations import HeightUncertainty
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.room import room
-from taccel_lab.reading.slope_integration import height_from_slopes, plane_of, with_detail
+from taccel_lab.reading.slope_integration import (
+    border_mean,
+    height_from_slopes,
+    plane_of,
+    solve_poisson,
+    with_detail,
+)
 from taccel_lab.reading.slopes import NormalMap, NormalModel
 from taccel_lab.reading.windows import halved
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
@@ -194,6 +200,8 @@ def risen(
     """
     import torch
 
+    if room() is not None and mask is None and cell_px == CELL_PX:
+        return _risen_in_room(slope, grid, zero)
     kept = None if mask is None else tensor_of(mask, torch.float64, slope)[..., None]
     slopes = slope.double() if kept is None else slope.double().where(kept > 0, 0.0)
     means, cover = _cell_means(slopes, cell_px), None
@@ -221,6 +229,20 @@ def risen(
     before = whole[..., inside[0], inside[1]]
     before.copy_(with_detail(before, part, small, trust))
     return whole - tilted
+
+
+def _risen_in_room(slope: torch.Tensor, grid: PixelGrid, zero: torch.Tensor) -> torch.Tensor:
+    """``risen`` of slopes that all count, in all pixels."""
+    from taccel_lab.reading.fixed_surface import cell_slopes, detail_divergence, rise_of
+
+    slopes = slope.reshape(-1, *slope.shape[-3:])
+    zero = zero.reshape(-1, *zero.shape[-2:])
+    found = height_from_slopes(cell_slopes(slopes), grid.thinned(CELL_PX), zero=zero)
+    whole = enlarged(found, CELL_PX)[..., : grid.height_px, : grid.width_px].contiguous()
+    steps_m = grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3
+    detail = solve_poisson(detail_divergence(whole, slopes, steps_m), steps_m)
+    rise = rise_of(whole, detail, border_mean(detail), plane_of(found, zero), CELL_PX)
+    return rise.reshape(slope.shape[:-1])
 
 
 def _span(around: np.ndarray | None) -> tuple[slice, slice] | None:
@@ -290,6 +312,13 @@ def with_deviations(
         tensor_of(read.slope[vectors]), tensor_of(seen.slope_sigma()), weights=mask, zero=read.zero
     )
     rise = tensor_of(read.rise_m)
+    if room() is not None:
+        from taccel_lab.reading.fixed_surface import deviations_of
+
+        factors = config.height_factor, config.along_factor, config.depth_share
+        maps = (values.reshape(-1, *rise.shape[-2:]) for values in (reading, along, rise))
+        reading, sigma = (found.reshape(rise.shape) for found in deviations_of(*maps, factors))
+        return replace(read, sigma_m=sigma, reading_sigma_m=reading)
     # As a sum of squares: a third of the time of ``hypot``.
     reading = reading.mul_(config.height_factor).to(rise.dtype)
     variance = along.mul_(config.along_factor).square_().to(rise.dtype)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -28,6 +28,8 @@ from taccel_lab.signals.tensors import layer_tensors, tensor_of
 
 if TYPE_CHECKING:
     import torch
+
+    from taccel_lab.reading.fixed_network import FixedNetwork
 
 Layers = list[tuple["torch.Tensor", "torch.Tensor"]]
 """Weight [member, outputs, inputs] and bias [member, outputs] of each."""
@@ -95,14 +97,14 @@ class Networks:
         return self._of_raw_features(small)
 
     @cached_property
-    def _fixed(self) -> Callable[[torch.Tensor], torch.Tensor]:
+    def _fixed(self) -> FixedNetwork:
         """Layers of the ensemble in one kernel, for readings of fixed sizes."""
         from taccel_lab.reading.fixed_network import FixedNetwork
 
         return FixedNetwork(self._layers)
 
     @cached_property
-    def _fixed_small(self) -> Callable[[torch.Tensor], torch.Tensor]:
+    def _fixed_small(self) -> FixedNetwork:
         """The same of the small network."""
         from taccel_lab.reading.fixed_network import FixedNetwork
 
@@ -170,8 +172,9 @@ class Networks:
 
         layers = self._small_layers if small else self._layers
         hidden = [len(bias[0]) for _, bias in layers[:-1]]
-        if room() is not None and 0 < max(hidden, default=0) <= MOST_FIXED:
-            return (self._fixed_small if small else self._fixed)(features)
+        here = room()
+        if here is not None and 0 < max(hidden, default=0) <= MOST_FIXED:
+            return (self._fixed_small if small else self._fixed)(features, here.counted)
         chunk, elsewhere = CHUNK_PIXELS, DEVICE_CHUNK_PIXELS
         if self.config.small_hidden and not small:
             chunk, elsewhere = FEW_PIXELS, DEVICE_FEW_PIXELS
@@ -189,6 +192,12 @@ class Networks:
         3], now and at rest; ``left_out`` as in ``predict``."""
         import torch
 
+        if room() is not None:
+            from taccel_lab.reading.fixed_network import judged
+
+            factor = self.config.error_factor
+            found = judged(outputs, still, left_out, factor, MIN_ERROR_RAD)
+            return found[:2].T, found[2]
         tilts, errors = outputs[..., :2] - still, expected_error(outputs)
         others = reading = tilts
         if left_out is not None:
@@ -207,7 +216,10 @@ def _places_of(flags: torch.Tensor, block_px: int) -> torch.Tensor:
     if here is None:
         return flags.nonzero()[:, 0]
     count = len(flags)
-    size = here.size(f"blocks of {block_px} px left to the ensemble", flags.sum(), count)
+    if here.counted is not None:
+        flags = flags & (torch.arange(count, device=flags.device) < here.counted)
+    here.counted = flags.sum()
+    size = here.size(f"blocks of {block_px} px left to the ensemble", here.counted, count)
     return torch.nonzero_static(flags, size=size, fill_value=count)[:, 0]
 
 

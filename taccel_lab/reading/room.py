@@ -34,6 +34,8 @@ class Room:
         self._most: dict[str, int] = {}
         self._needs: dict[str, torch.Tensor] = {}
         self._checks: list[tuple[torch.Tensor, Callable[[], str]]] = []
+        self.counted: torch.Tensor | None = None
+        """Places of those that are asked about just now that hold something; None for all."""
 
     @contextmanager
     def entered(self) -> Iterator[None]:

@@ -106,6 +106,14 @@ def with_detail(
     return height + detail - map_totals(detail * border) / border.sum()
 
 
+def border_mean(height: torch.Tensor) -> torch.Tensor:
+    """Mean of heights [..., h, w] along the border, shape [...]."""
+    rows, columns = height.shape[-2:]
+    ends = height[..., :: rows - 1, :].sum((-2, -1))
+    sides = height[..., 1:-1, :: columns - 1].sum((-2, -1))
+    return (ends + sides) / (2 * (rows + columns) - 4)
+
+
 def _steps_m(grid: PixelGrid) -> tuple[float, float]:
     return grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3
 

@@ -89,6 +89,11 @@ class NormalMap(Generic[Array]):
     def slopes(self) -> Array:
         """dh/dx and dh/dy of the surface, shape [..., height_px, width_px, 2]."""
         normals = tensor_of(self.normals)
+        if room() is not None:
+            from taccel_lab.reading.fixed_surface import slopes_of
+
+            flat = slopes_of(normals.reshape(-1, *normals.shape[-3:]), MAX_TILT_RAD)
+            return as_given(flat.reshape(*normals.shape[:-1], 2), self.normals)
         upright = normals[..., 2:].clamp(min=math.cos(MAX_TILT_RAD))
         return as_given(-normals[..., :2] / upright, self.normals)
 
@@ -186,6 +191,8 @@ class NormalModel:
                 read = painted(read_in_blocks(windows, answer, _lean_slopes, near), shape[:2])
             else:
                 read = read_in_room(windows, answer, near, here)
+            if here is not None:
+                return self._mapped(read, windows, image.shape[:-3], rest_normals, coarse)
             # Lines that go on beyond the outermost blocks may fall below any error there is.
             least = self.config.error_factor * MIN_ERROR_RAD
             tilt, error = read[:2].movedim(0, -1), read[2].clamp(min=least)
@@ -208,6 +215,35 @@ class NormalModel:
                 sigma_deg = torch.hypot(sigma_deg, away * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
         return found.like(image)
+
+    def _mapped(
+        self,
+        read: torch.Tensor,
+        windows: FeatureWindows,
+        lead: torch.Size,
+        rest_normals: Any,
+        coarse: bool,
+    ) -> NormalMap[Any]:
+        """What ``predict`` makes of what is read of every pixel, in one kernel."""
+        from taccel_lab.reading.fixed_surface import normal_maps
+
+        kept, away, config = windows.mask, None, self.config
+        if kept is not None and coarse:
+            kept = windows.cover(LARGEST_PX) > 0
+        if config.presses_px:
+            away = _away(config, LARGEST_PX if coarse else 1, read.device)
+        numbers = (
+            config.error_factor * MIN_ERROR_RAD, MAX_TILT_RAD, math.degrees(1) / RAYLEIGH_MEAN,
+            config.radius95_sigmas,
+        )  # fmt: skip
+        maps = [
+            values.reshape(*lead, *values.shape[1:])
+            for values in normal_maps(read, kept, away, numbers)
+        ]
+        if rest_normals is not None:
+            rest = place_of_blocks(rest_normals, LARGEST_PX if coarse else 1).movedim(0, -1)
+            maps[0] = rotate_from_z(maps[0], tensor_of(rest, read.dtype, read))
+        return NormalMap(*maps)
 
     def _windows(
         self, change: torch.Tensor, background: torch.Tensor, mask: torch.Tensor | None

@@ -20,7 +20,7 @@ from taccel_lab.reading.room import STEP, Room, require
 from taccel_lab.reading.slope_integration import height_from_slopes
 from taccel_lab.reading.slopes import NormalModel
 from tests.networks.weights import random_weights
-from tests.reading.test_slopes import WIDE, WIDE_GRID, dented
+from tests.reading.dents import WIDE, WIDE_GRID, dented
 
 MODEL = replace(
     WIDE, height_factor=1.0, error_length_px=8.0, depth_share=0.1, presses_px=(110.0, 70.0, 30.0)

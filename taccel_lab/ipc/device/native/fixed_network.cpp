@@ -5,6 +5,7 @@
     // each lane sums 8 rows of some outputs. Weights come there for all warps, a part at a time.
     const float* own = weights.data + static_cast<wp::uint64>(member) * weights.shape[1];
     const int rows = inputs.shape[1];
+    if (32 * @WARPS@ * block >= counted.data[0]) return;
     auto act = [](float x) {
 #if defined(__CUDA_ARCH__)
         return __fdividef(x, 1.0f + __expf(-x));
