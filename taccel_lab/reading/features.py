@@ -176,12 +176,14 @@ class FeatureWindows:
         mask: torch.Tensor | None = None,
         background: torch.Tensor | None = None,
         zoom: float = 1.0,
+        light: torch.Tensor | None = None,
     ) -> None:
-        """Windows of changes [levels] of shape [image, h, w, 3]; ``place`` tells what blocks of so
-        many pixels know of theirs, shape [n, h, w]; the rest as of ``local_features``."""
+        """Windows of changes [levels] of shape [image, h, w, 3], or of images that change from
+        ``light`` [h, w, 3]; ``place`` tells what blocks of so many pixels know of theirs, shape
+        [n, h, w]; the rest as of ``local_features``."""
         here = room() is None
         self.mask = None if mask is None or (here and bool(mask.all())) else mask
-        self._change = change
+        self._seen, self._light = change, light
         self.scales = tuple(scale * zoom for scale in scales_px)
         self.varied = tuple(scale * zoom for scale in slope_scales_px)
         self._place, self._under = place, None
@@ -194,13 +196,14 @@ class FeatureWindows:
 
     @cached_property
     def _units(self) -> torch.Tensor:
-        units = self._change.float() / LEVELS_PER_UNIT
+        seen = self._seen if self._light is None else color_change(self._seen, self._light)
+        units = seen.float() / LEVELS_PER_UNIT
         return units if self.mask is None else units.where(self.mask[..., None], 0.0)
 
     @property
     def size(self) -> tuple[int, int, int]:
         """Images, rows and columns of pixels."""
-        images, height, width, _ = self._change.shape
+        images, height, width, _ = self._seen.shape
         return images, height, width
 
     def packed(self, cell_px: int) -> torch.Tensor:
@@ -209,7 +212,9 @@ class FeatureWindows:
 
         if cell_px not in self._packed:
             if cell_px == 1:
-                found = packed_cells(self._change.float(), self.mask, 1.0 / LEVELS_PER_UNIT)
+                seen, light = self._seen, self._light
+                light = seen.new_zeros(seen.shape[1:]) if light is None else light
+                found = packed_cells(seen, light, self.mask, 1.0 / LEVELS_PER_UNIT)
             else:
                 found = halved_cells(self.packed(cell_px // 2))
             self._packed[cell_px] = found

@@ -235,6 +235,7 @@ def deviations_of(
     spread: torch.Tensor,
     along: torch.Tensor,
     rise: torch.Tensor,
+    *,
     factors: tuple[float, float, float],
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Deviations [m] of the reading alone and of all, of errors that are smooth, ones along the

@@ -25,7 +25,8 @@ from taccel_lab.reading.windows import AxisTaps, axis_taps, cell_of
 
 @wp.kernel(enable_backward=False)
 def _pack_cells_kernel(
-    change: wp.array4d(dtype=float),
+    seen: wp.array4d(dtype=Any),
+    light: wp.array3d(dtype=float),
     kept: wp.array2d(dtype=wp.uint8),
     masked: int,
     share: float,
@@ -35,12 +36,16 @@ def _pack_cells_kernel(
     value = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if masked == 0 or kept[row, column] != wp.uint8(0):
         value = wp.vec4(
-            change[image, row, column, 0] * share,
-            change[image, row, column, 1] * share,
-            change[image, row, column, 2] * share,
+            (float(seen[image, row, column, 0]) - light[row, column, 0]) * share,
+            (float(seen[image, row, column, 1]) - light[row, column, 1]) * share,
+            (float(seen[image, row, column, 2]) - light[row, column, 2]) * share,
             1.0,
         )
     found[image, row, column] = value
+
+
+for _kind in (wp.uint8, wp.float32):
+    wp.overload(_pack_cells_kernel, {"seen": wp.array4d(dtype=_kind)})
 
 
 @wp.kernel(enable_backward=False)
@@ -199,13 +204,17 @@ def _windows(
     return _Windows(alike, over, mean_row.int(), change_row.int(), down, across)
 
 
-def packed_cells(change: torch.Tensor, mask: torch.Tensor | None, share: float) -> torch.Tensor:
-    """Pixels as they are seen, a ``share`` of their change [image, h, w, 3] and 1, or nothing where
-    ``mask`` says so, shape [image, h, w, 4]."""
-    found = torch.empty((*change.shape[:3], 4), device=change.device)
-    kept = bytes_of(mask, change.device)
-    size = tuple(change.shape[:3])
-    launch(_pack_cells_kernel, size, [change, kept, int(mask is not None), share, vectors(found)])
+def packed_cells(
+    images: torch.Tensor, light: torch.Tensor, mask: torch.Tensor | None, share: float
+) -> torch.Tensor:
+    """Pixels as they are seen, a ``share`` of what images [image, h, w, 3] differ from ``light``
+    [h, w, 3] by and 1, or nothing where ``mask`` says so, shape [image, h, w, 4]."""
+    size = tuple(images.shape[:3])
+    found = torch.empty((*size, 4), device=images.device)
+    seen = images if images.dtype == torch.uint8 else images.float()
+    kept = bytes_of(mask, images.device)
+    given = [seen, light.float(), kept, int(mask is not None), share, vectors(found)]
+    launch(_pack_cells_kernel, size, given)
     return found
 
 

@@ -316,8 +316,10 @@ def with_deviations(
         from taccel_lab.reading.fixed_surface import deviations_of
 
         factors = config.height_factor, config.along_factor, config.depth_share
-        maps = (values.reshape(-1, *rise.shape[-2:]) for values in (reading, along, rise))
-        reading, sigma = (found.reshape(rise.shape) for found in deviations_of(*maps, factors))
+        flat = (values.reshape(-1, *rise.shape[-2:]) for values in (reading, along, rise))
+        reading, sigma = (
+            found.reshape(rise.shape) for found in deviations_of(*flat, factors=factors)
+        )
         return replace(read, sigma_m=sigma, reading_sigma_m=reading)
     # As a sum of squares: a third of the time of ``hypot``.
     reading = reading.mul_(config.height_factor).to(rise.dtype)

@@ -96,7 +96,8 @@ class Recording:
 
     def _record(self) -> None:
         self._result, self._constants = None, []
-        stream, now = _stream(torch.cuda.current_device()), torch.cuda.current_stream()
+        device, now = torch.cuda.current_device(), torch.cuda.current_stream()
+        stream, pool = _stream(device), _pool(device)[0]
         stream.wait_stream(now)
         with torch.cuda.stream(stream):
             # Sizes, tables and libraries' own memory are there before the second time.
@@ -106,7 +107,7 @@ class Recording:
         stream.synchronize()
         graph, constants = torch.cuda.CUDAGraph(), _Constants()
         with (
-            torch.cuda.graph(graph, _pool(), stream, capture_error_mode="thread_local"),
+            torch.cuda.graph(graph, pool, stream, capture_error_mode="thread_local"),
             self.room.entered(),
             constants,
         ):
@@ -147,8 +148,12 @@ class _Constants(TorchDispatchMode):
 
 
 @cache
-def _pool() -> Any:
-    return torch.cuda.graph_pool_handle()
+def _pool(device: int) -> Any:
+    """Memory of all recordings on a device, and an empty one that keeps it when others go."""
+    pool, keeper = torch.cuda.graph_pool_handle(), torch.cuda.CUDAGraph()
+    with torch.cuda.graph(keeper, pool, _stream(device), capture_error_mode="thread_local"):
+        kept = torch.zeros(1, device=f"cuda:{device}")
+    return pool, keeper, kept
 
 
 @cache

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Generic
@@ -32,7 +32,6 @@ from taccel_lab.reading.blocks import (
 from taccel_lab.reading.features import (
     Blocks,
     FeatureWindows,
-    color_change,
     pixel_place,
     place_of_blocks,
 )
@@ -177,7 +176,7 @@ class NormalModel:
             images = tensor_of(image, like=on).reshape(-1, *shape)
             light = tensor_of(background, torch.float32, on)
             kept = None if mask is None else tensor_of(mask, like=on)
-            windows = self._windows(color_change(images, light, kept), light, kept)
+            windows = self._windows(images, light, kept)
 
             def answer(blocks: Blocks, picked: torch.Tensor | None) -> torch.Tensor:
                 return self.networks.answer(blocks, picked, left_out)
@@ -220,7 +219,7 @@ class NormalModel:
         self,
         read: torch.Tensor,
         windows: FeatureWindows,
-        lead: torch.Size,
+        lead: Sequence[int],
         rest_normals: Any,
         coarse: bool,
     ) -> NormalMap[Any]:
@@ -246,22 +245,23 @@ class NormalModel:
         return NormalMap(*maps)
 
     def _windows(
-        self, change: torch.Tensor, background: torch.Tensor, mask: torch.Tensor | None
+        self, images: torch.Tensor, light: torch.Tensor, mask: torch.Tensor | None
     ) -> FeatureWindows:
         config = self.config
 
         def place(block_px: int) -> torch.Tensor:
             return _place(
-                config.width_px, config.height_px, config.position_bands, block_px, change.device
+                config.width_px, config.height_px, config.position_bands, block_px, images.device
             )
 
         return FeatureWindows(
-            change,
+            images,
             config.scales_px,
             config.slope_scales_px,
             place,
             mask=mask,
-            background=background if config.background else None,
+            background=light if config.background else None,
+            light=light,
         )
 
     def predict_pixels(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
