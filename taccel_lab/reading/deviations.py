@@ -21,6 +21,7 @@ errors and hardly depends on what is pressed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.features import of_blocks
+from taccel_lab.reading.room import once
 from taccel_lab.reading.slope_integration import border_of, height_from_slopes, plane_of
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.spread_operator import Plane, SpreadOperator, spread_operator
@@ -105,14 +107,19 @@ class HeightUncertainty:
         mask = b""
         if weights is not None:
             weights = tensor_of(weights, like=sigma)
-            if not bool((weights > 0).all()):
-                mask = np.packbits((weights > 0).cpu().numpy()).tobytes()
+            mask = once("deviations' mask", partial(_packed, weights))
             weights = weights[self.part].to(torch.float64)
         operator = spread_operator(self.grid, self.error_length_px, self._every, sigma.device, mask)
         if zero is not None:
             # Bytes become numbers in a quarter of the time that bits do.
             zero = tensor_of(zero, torch.bool, sigma).view(torch.uint8).to(torch.float32)
         return operator, sigma, weights, operator.plane(zero)
+
+
+def _packed(weights: torch.Tensor) -> bytes:
+    """Pixels that count, as bits; none where all do."""
+    kept = weights > 0
+    return b"" if bool(kept.all()) else np.packbits(kept.cpu().numpy()).tobytes()
 
 
 class LightErrors:

@@ -27,7 +27,7 @@ PART = 32
 
 
 @wp.kernel(enable_backward=False)
-def _judge_kernel(
+def _members_kernel(
     outputs: wp.array3d(dtype=float),
     still: wp.array3d(dtype=float),
     left_out: int,
@@ -66,7 +66,7 @@ def judged(
     [3, n]; ``factor``: of the expected error, ``least``: of errors [rad]."""
     found = torch.empty((3, outputs.shape[1]), device=outputs.device)
     member = -1 if left_out is None else left_out
-    launch(_judge_kernel, (outputs.shape[1],), [outputs, still, member, factor, least, found])
+    launch(_members_kernel, (outputs.shape[1],), [outputs, still, member, factor, least, found])
     return found
 
 

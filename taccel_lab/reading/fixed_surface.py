@@ -20,7 +20,7 @@ from taccel_lab.reading.launch import bytes_of, launch
 
 
 @wp.kernel(enable_backward=False)
-def _normal_kernel(
+def _normal_maps_kernel(
     read: wp.array4d(dtype=float),
     kept: wp.array2d(dtype=wp.uint8),
     away: wp.array2d(dtype=float),
@@ -57,7 +57,7 @@ def _normal_kernel(
 
 
 @wp.kernel(enable_backward=False)
-def _slope_of_normal_kernel(
+def _slope_of_normal_maps_kernel(
     normals: wp.array4d(dtype=float), least: float, slopes: wp.array4d(dtype=float)
 ):
     image, row, column = wp.tid()
@@ -131,7 +131,7 @@ def _detail_kernel(
 
 
 @wp.kernel(enable_backward=False)
-def _rise_kernel(
+def _rise_map_kernel(
     height: wp.array3d(dtype=wp.float64),
     detail: wp.array3d(dtype=wp.float64),
     level: wp.array(dtype=wp.float64),
@@ -186,7 +186,7 @@ def normal_maps(
     new = read.new_empty
     found = new((*shape, 3)), new((*shape, 2)), new(shape), new(shape)
     none = new((0, 0)) if away is None else away
-    launch(_normal_kernel, shape, [read, bytes_of(kept, read.device), none, *numbers, *found])
+    launch(_normal_maps_kernel, shape, [read, bytes_of(kept, read.device), none, *numbers, *found])
     return found
 
 
@@ -194,7 +194,7 @@ def slopes_of(normals: torch.Tensor, steepest_rad: float) -> torch.Tensor:
     """Slopes of normals [image, h, w, 3] (``slopes.NormalMap.slopes``)."""
     found = normals.new_empty((*normals.shape[:-1], 2))
     given = [normals, math.cos(steepest_rad), found]
-    launch(_slope_of_normal_kernel, tuple(normals.shape[:-1]), given)
+    launch(_slope_of_normal_maps_kernel, tuple(normals.shape[:-1]), given)
     return found
 
 
@@ -227,7 +227,7 @@ def rise_of(
     """Heights [m] with detail, less its ``level`` [image], over a plane that cells show."""
     found = torch.empty_like(height)
     given = [height, detail, level, plane, 1.0 / cell_px, found]
-    launch(_rise_kernel, tuple(height.shape), given)
+    launch(_rise_map_kernel, tuple(height.shape), given)
     return found
 
 

@@ -165,11 +165,13 @@ class _Options:
 
         if mask is not None and mask.all():
             mask = None
+        # What a mask makes of deviations is found before a recording.
+        masked = None if mask is None else np.packbits(mask).tobytes()
         kinds = (None, torch.float32, torch.bool, None, torch.bool, torch.bool)
         values = (image, background, mask, rest_normals, around, resting)
         return replayed(
             self.model.recordings,
-            (self.grid, self.left_out, self.uncertainty, self.coarse),
+            (self.grid, self.left_out, self.uncertainty, self.coarse, masked),
             lambda inputs: self.read(*inputs),
             [v if v is None else tensor_of(v, kind) for v, kind in zip(values, kinds, strict=True)],
             self.model.device,

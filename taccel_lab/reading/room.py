@@ -13,13 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     import torch
 
+Found = TypeVar("Found")
 SPARE = 1.25
 """Room over what the first images ask for."""
 STEP = 256
@@ -36,6 +37,8 @@ class Room:
         self._checks: list[tuple[torch.Tensor, Callable[[], str]]] = []
         self.counted: torch.Tensor | None = None
         """Places of those that are asked about just now that hold something; None for all."""
+        self.known_once: dict[str, Any] = {}
+        """What the first reading found out of inputs that stay (``once``)."""
 
     @contextmanager
     def entered(self) -> Iterator[None]:
@@ -101,6 +104,16 @@ _entered: ContextVar[Room | None] = ContextVar("room", default=None)
 def room() -> Room | None:
     """The room that this reading stands in; None where sizes follow the image."""
     return _entered.get()
+
+
+def once(name: str, find: Callable[[], Found]) -> Found:
+    """What ``find`` looks up; in a room, the first time alone, of inputs that do not change."""
+    here = room()
+    if here is None:
+        return find()
+    if name not in here.known_once:
+        here.known_once[name] = find()
+    return here.known_once[name]
 
 
 def require(holds: torch.Tensor, fault: Callable[[], str]) -> None:

@@ -51,6 +51,10 @@ def holes() -> np.ndarray:
     return ((np.abs(u - 100) > 6) | (np.abs(v - 80) > 9)) & (u + v > 4)
 
 
+UPPER = np.arange(23)[:, None] * np.ones(31) < 12
+"""Blocks of the upper half."""
+
+
 def assert_alike(found: ReadHeights, known: ReadHeights) -> None:
     """To rounding, of slopes of 1 and of heights of some 1.5 mm."""
     for name, most in (("slope", 2e-5), ("rise_m", 1e-9), ("sigma_m", 2e-8), ("zero", 0.5)):
@@ -90,11 +94,16 @@ def test_fixed_sizes_read_what_sizes_of_each_image_do(masked: bool):
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("block_px", [8, 2, 1])
 def test_windows_of_picked_blocks_are_those_of_all(block_px: int, masked: bool):
-    change = torch.from_numpy(np.random.default_rng(3).normal(0, 40, (2, 45, 62, 3)))
+    """Of images of bytes, as cameras give them."""
+    rng = np.random.default_rng(3)
+    seen = torch.from_numpy(rng.integers(0, 256, (2, 45, 62, 3), dtype=np.uint8))
+    light = torch.from_numpy(rng.uniform(0, 255, (45, 62, 3)).astype(np.float32))
     mask = torch.ones((45, 62), dtype=torch.bool)
     mask[10:22, :30] = not masked
     scales, varied, place = (0.0, 0.7, 1.5, 6.2, 1.5), (1.5, 3.1, 9.0), pixel_place(62, 45, 1)
-    maps = FeatureWindows(change, scales, varied, lambda px: place_of_blocks(place, px), mask=mask)
+    maps = FeatureWindows(
+        seen, scales, varied, lambda px: place_of_blocks(place, px), mask=mask, light=light
+    )
     known = maps.blocks(block_px).features()
     picked = torch.arange(known.shape[1] + 5).flip(0)
     found = maps.sparse(block_px).features(picked)
@@ -128,7 +137,9 @@ def test_faults_of_input_are_kept_until_a_result_is_asked_for():
 class TestOnGpu:
     pytestmark = needs_gpu
 
-    @pytest.mark.parametrize("options", [{}, {"mask": holes()}, {"coarse": True}])
+    @pytest.mark.parametrize(
+        "options", [{}, {"mask": holes()}, {"coarse": True}, {"resting": UPPER}]
+    )
     def test_a_recording_reads_what_a_cpu_does(self, options):
         shown, still = images()
         known = read_heights(model(), shown, still, WIDE_GRID, **options)
@@ -139,13 +150,15 @@ class TestOnGpu:
         assert_alike(read_heights(reading, shown, still, WIDE_GRID, **options), known)
         assert len(reading.recordings) == 1
 
-    def test_a_recording_gives_the_bits_of_what_it_recorded(self):
+    @pytest.mark.parametrize("small", [(), (24, 24)])
+    def test_a_recording_gives_the_bits_of_what_it_recorded(self, small):
         shown, still = images()
-        reading = model("cuda:0")
+        config = replace(MODEL, small_hidden=small)
+        reading = NormalModel(config, random_weights(config, spread=0.3), "cuda:0")
         given = torch.from_numpy(shown).cuda()
         found = read_heights(reading, given, torch.from_numpy(still).cuda(), WIDE_GRID)
         (recording,) = reading.recordings.values()
-        again = recording.unrecorded([given, torch.from_numpy(still), None, None, None])
+        again = recording.unrecorded([given, torch.from_numpy(still), *[None] * 4])
         assert found.rise_m.is_cuda and found.sigma_m is not None
         for name in ("slope", "rise_m", "zero", "sigma_m", "reading_sigma_m"):
             assert torch.equal(getattr(found, name), getattr(again, name)), name
