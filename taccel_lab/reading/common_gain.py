@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brightness that changes in all channels alike, by rows or in a patch: light, not touch.
+"""Brightness that changes in all channels alike, by rows, in a patch, all over: light, no touch.
 
 Lamps of several colours show a slope by channels that change apart, and on the two sides of a dent
 in opposite directions. Two things change all channels by one factor. Light from the mains goes up
@@ -7,6 +7,10 @@ and down while a rolling shutter reads the rows: a sine along the rows, the same
 And a coating that has worn since the background was taken, or dirt, is brighter or darker in a
 patch, of one sign throughout. Both would be read as slopes, and so as a shallow dent. They are
 found on small images, and divided out.
+
+A lens that darkens the corners, and a camera whose tone curve has changed, alter the whole image by
+a factor that is smooth over it, or over the levels: one for all channels, once each has its own
+gain, offset and gradient. Presses have next to nothing of that.
 
 A gel whose untouched image itself varies in all channels alike is lit by lamps of one colour, which
 show every slope like that: of those, patches say nothing.
@@ -20,6 +24,7 @@ from functools import cache
 import cv2
 import numpy as np
 
+from taccel_lab.reading.light import unit_position
 from taccel_lab.reading.thumb import SmallImage, resized
 
 LEAST_LEVEL = 8.0
@@ -50,12 +55,22 @@ OWN_FACTOR = 0.8
 0.2 to 0.7, those of one 0.84 and more."""
 
 
+SHADE_EXPLAINED = 0.82
+"""Part of the change (sum of squares), beside each channel's own light, that shade and tone curve
+explain: 0.85 to 1.00 of darkened corners and gammas, 0.79 at most of worn patches, 0.06 at most of
+170 presses of seven units."""
+MOST_SHADE = 0.5, 2.0
+"""Limits of such a factor."""
+LEAST_SHADE_LEVELS = 0.3
+"""Root mean square of what is left of the change beside each channel's own light."""
+
+
 @dataclass(frozen=True)
 class CommonGain:
     """A factor of all channels that is no touch."""
 
     factor: np.ndarray
-    """Factor of each pixel, float32, shape [height_px, width_px]."""
+    """Factor of each pixel, float32, shape [height_px, width_px, 1], or of each level, with 3."""
     remark: str
     """What was found and what to do, a sentence."""
 
@@ -89,6 +104,10 @@ class CommonGains:
         self._base = self._blurred(self._known)
         own = self._base - self._base.mean(axis=(0, 1))
         self._one_colour = _one_factor(own, self._base)[1] > OWN_FACTOR
+        own, shades = _own_light(self._base), _shades(self._base)
+        self._own_light = np.linalg.qr(own)[0]
+        self._own_of_shade = np.linalg.lstsq(own, shades, rcond=None)[0]
+        self._shades = shades - own @ self._own_of_shade
 
     def of(self, levels: np.ndarray) -> CommonGain | None:
         """The common factor of a frame made small, levels in the untouched image's light, shape
@@ -96,7 +115,7 @@ class CommonGains:
         levels = levels.astype(np.float32)
         if self._counted is not None:
             levels = np.where(self._counted, levels, self._known)
-        return self._bands(levels) or self._patch(levels)
+        return self._shade(levels) or self._bands(levels) or self._patch(levels)
 
     def _logs(self, levels: np.ndarray) -> np.ndarray:
         """Logarithms of means over columns that lie together."""
@@ -139,7 +158,7 @@ class CommonGains:
         fine = np.pi * cycles * np.linspace(-1.0, 1.0, self._shape_px[0])
         factor = np.exp(fit[0] * np.sin(fine) + fit[1] * np.cos(fine)).astype(np.float32)
         return CommonGain(
-            np.repeat(factor[:, None], self._shape_px[1], axis=1),
+            np.repeat(factor[:, None], self._shape_px[1], axis=1)[..., None],
             f"light from the mains goes up and down along the rows by {amplitude:.1%} and was "
             "taken off: shut room light out, or set the exposure to a multiple of 10 ms (mains of "
             "50 Hz) or 8.3 ms (60 Hz)",
@@ -163,12 +182,63 @@ class CommonGains:
         most = float(share[row, column])
         factor = cv2.resize(1.0 + share, self._shape_px[::-1], interpolation=cv2.INTER_LINEAR)
         return CommonGain(
-            factor.astype(np.float32),
+            factor.astype(np.float32)[..., None],
             f"the background is old: around ({column * scale:.0f}, {row * scale:.0f}) px the gel "
             f"is {abs(most):.0%} {'brighter' if most > 0 else 'darker'} in all channels alike, as "
             "a worn coating or dirt is, which was taken off; give an image of the untouched gel as "
             "it is now (--background)",
         )
+
+    def _shade(self, levels: np.ndarray) -> CommonGain | None:
+        """A smooth factor and a tone curve that explain most of the change all over the image."""
+        if self._one_colour:
+            return None
+        change = (self._blurred(levels) - self._base).reshape(-1)
+        change = change - self._own_light @ (self._own_light.T @ change)
+        whole = float(np.square(change).sum())
+        if whole < len(change) * LEAST_SHADE_LEVELS**2:
+            return None
+        size = np.linalg.lstsq(self._shades, change, rcond=None)[0]
+        left = float(np.square(change - self._shades @ size).sum())
+        if 1.0 - left / whole < SHADE_EXPLAINED:
+            return None
+        most = np.abs(self._shades * size).max(axis=0)
+        what = (
+            "the camera's tone curve is another than that of"
+            if most[-1] > most[:-1].max()
+            else "corners and middle of the image are lit otherwise than in"
+        )
+        known = np.maximum(self._known, LEAST_LEVEL)
+        own = _own_light(known, self._base) @ (self._own_of_shade @ size)
+        share = (_shades(known) @ size - own).reshape(known.shape) / known
+        factor = cv2.resize(1.0 + share, self._shape_px[::-1], interpolation=cv2.INTER_LINEAR)
+        return CommonGain(
+            np.clip(factor, *MOST_SHADE).astype(np.float32),
+            f"{what} the background, as was taken off: fix exposure, gamma and white balance, "
+            "or give an image of the untouched gel as it is now (--background)",
+        )
+
+
+def _own_light(base: np.ndarray, middle: np.ndarray | None = None) -> np.ndarray:
+    """Changes of levels [h, w, 3] by each channel's gain, about the mean of ``middle``, offset and
+    gradient, [3 h w, 12]."""
+    means = (base if middle is None else middle).mean(axis=(0, 1))
+    across, down = unit_position(*base.shape[:2])
+    found = np.zeros((*base.shape, 3, 4))
+    for channel in range(3):
+        level = base[..., channel]
+        terms = (level - means[channel], np.ones_like(level), across + 0 * down, down + 0 * across)
+        found[:, :, channel, channel] = np.stack(terms, axis=-1)
+    return found.reshape(base.size, 12)
+
+
+def _shades(base: np.ndarray) -> np.ndarray:
+    """Changes of levels [h, w, 3] by smooth factors over the image and one over the levels,
+    [3 h w, 5]."""
+    across, down = (each[..., None] for each in unit_position(*base.shape[:2]))
+    round_ = across**2 + down**2
+    factors = (across**2, across * down, down**2, round_**2, base / 255.0)
+    return np.stack([(factor * base).reshape(-1) for factor in factors], axis=-1)
 
 
 def _median(values: np.ndarray) -> np.ndarray:

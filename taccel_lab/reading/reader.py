@@ -216,7 +216,7 @@ class Reader:
         even, remark = frame, ""
         common = None if self.normal_model is None else frame.common
         if common is not None:
-            steady = frame.still.remove(frame.levels) / common.factor[..., None]
+            steady = frame.still.remove(frame.levels) / common.factor
             even, remark = frame.with_levels(frame.still.apply(steady)), common.remark
 
         def shown(light: LightDrift, **seen: Any) -> LitImage:
