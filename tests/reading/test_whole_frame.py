@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 
@@ -139,3 +140,14 @@ def test_real_presses_are_whole(taxim_captures: CaptureSet) -> None:
             image = read_image(path)
             if image.shape == rest.shape:
                 assert broken_frame(image, rest) is None, path
+
+
+@pytest.mark.parametrize("quality", [30, 60])
+@pytest.mark.parametrize("mini", ["gsmini_gs_sdk/examples/data", "gsmini_cube_edges"])
+def test_a_coarsely_coded_image_is_whole(mini: str, quality: int) -> None:
+    """A row of an encoder's blocks without any detail along columns was not lost."""
+    rest = read_image(real_data(f"{mini}/background.png"))
+    _, coded = cv2.imencode(".jpg", rest[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
+    assert broken_frame(image, rest) is None
+    assert about(broken_frame(lost_rows(image, 160), rest)) == ("lost_rows", 160, 239)
