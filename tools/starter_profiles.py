@@ -2,7 +2,9 @@
 """Make the starter profiles of ``sensors/starters`` from published captures, with our calibration.
 
     python tools/starter_profiles.py ../shared/data [NAME ...]
+    python tools/starter_profiles.py ../shared/data --teach NAME
 
+The second command keeps a starter as it is, and teaches a small network what its ensemble reads.
 Images are brought to the framing that users of the stock sensor have. Nothing is chosen by score:
 presses that this framing cuts are left out, as the check of the captures names them.
 """
@@ -24,8 +26,11 @@ import tomli_w
 from taccel_lab.calibration.calibrate import Calibration, calibrate
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check import check_captures
+from taccel_lab.calibration.normals.distilling import with_small_network
 from taccel_lab.files.documents import read_toml
+from taccel_lab.files.images import read_image
 from taccel_lab.profile import save_profile
+from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.sensors.starters import ABOUT, STARTERS
 
 
@@ -143,6 +148,15 @@ def make(name: str, data: Path) -> None:
     ABOUT.write_text(tomli_w.dumps(dict(sorted(about.items()))), encoding="utf-8")
 
 
+def teach(name: str, data: Path) -> None:
+    """Put a small network beside the ensemble of a starter, which stays as it is."""
+    with tempfile.TemporaryDirectory() as scratch:
+        manifest = MADE[name].captures(data, Path(scratch))
+        photos = [read_image(Path(scratch) / press["image"]) for press in manifest["presses"]]
+    profile = with_small_network(stock_sensor(name), photos)
+    save_profile(profile, STARTERS / name, MADE[name].kept)
+
+
 def _calibrated(starter: Starter, data: Path, folder: Path) -> Calibration:
     folder.mkdir()
     manifest = {
@@ -162,5 +176,7 @@ def _calibrated(starter: Starter, data: Path, folder: Path) -> Calibration:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[2:] or MADE:
-        make(wanted, Path(sys.argv[1]))
+    _, data_folder, *names = sys.argv
+    work = teach if "--teach" in names else make
+    for wanted in [name for name in names if name != "--teach"] or MADE:
+        work(wanted, Path(data_folder))

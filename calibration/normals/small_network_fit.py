@@ -117,7 +117,6 @@ class _Pupil:
             last = f"layer{len(self.config.small_hidden)}"
             for name in (f"{last}.weight", f"{last}.bias"):
                 weights[name] = np.concatenate([weights[name], weights[name][2:]])
-        self.names = list(weights)
         self.layers = trainable(layer_tensors({n: w[None].copy() for n, w in weights.items()}))
 
     def learn(self, lesson: Lesson, options: InverseFitOptions, progress: Progress) -> None:
@@ -163,9 +162,9 @@ class _Pupil:
         of_off, at_zero = logarithm_of(hidden.numpy(), off2.numpy())
         # Expected errors are mean angles, not roots of mean squares.
         weight[3], bias[3] = torch.from_numpy(of_off), at_zero + math.log(RAYLEIGH_MEAN / 2**0.5)
-        shapes = dict.fromkeys(self.names, ())
-        small = arrays_of(shapes, [(w[0], b[0]) for w, b in self.layers])
-        weights = {**model.weights, **{SMALL + name: w for name, w in small.items()}}
+        names = [name for name in self.config.weight_shapes() if name.startswith(SMALL)]
+        small = arrays_of(dict.fromkeys(names, ()), [(w[0], b[0]) for w, b in self.layers])
+        weights = {**model.weights, **small}
         return NormalModel(self.config, weights, model.device)
 
 
