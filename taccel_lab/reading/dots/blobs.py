@@ -171,7 +171,7 @@ def _split_by_gap(contrast: np.ndarray) -> tuple[int, float]:
         return len(contrast), 1.0
     ratio = contrast[:-1] / np.maximum(contrast[1:], 1e-9)
     above = np.arange(1, len(contrast))
-    middle = np.array([np.median(contrast[:n]) for n in above])
+    middle = 0.5 * (contrast[(above - 1) // 2] + contrast[above // 2])
     allowed = (above >= 6) & (contrast[:-1] > middle / 8) & (contrast[1:] < 0.75 * middle)
     if not allowed.any():
         return len(contrast), 1.0
@@ -193,19 +193,19 @@ def scale_candidates(image: np.ndarray) -> list[DotScale]:
     steps = np.log(min(grey.shape) / _LARGEST / _MIN_SIGMA_PX) / np.log(_RATIO)
     sigmas = _MIN_SIGMA_PX * _RATIO ** np.arange(-1, max(3, int(steps) + 1))
     answers = np.stack([response(grey, float(sigma), bright) for sigma in sigmas])
+    noises = [spread_about_zero(answer) for answer in answers]
     found = []
     for sign in (-1, 1):
-        weight = _weight_by_scale(answers, sigmas, sign)
+        weight = _weight_by_scale(answers, noises, sigmas, sign)
         for k in _peaks(weight)[:3]:
-            scale = _describe_scale(answers[k], float(sigmas[k]), sign)
+            scale = _describe_scale(answers[k], noises[k], float(sigmas[k]), sign)
             found.append((weight[k], scale))
     found.sort(key=lambda item: -item[0])
     return [replace(s, sigma_px=factor * s.sigma_px) for _, s in found if s.count > 0]
 
 
-def _describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
+def _describe_scale(answer: np.ndarray, noise: float, sigma_px: float, sign: int) -> DotScale:
     """Dots of a known size and sign: how many stand out, and by how much."""
-    noise = spread_about_zero(answer)
     least = max(MIN_CONTRAST, 1.5 * noise)
     uv, contrast = find_blobs(answer, sigma_px, sign, least)
     # At the border a part of a dot, or the end of the light, answers as it likes.
@@ -220,7 +220,9 @@ def _describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
     return DotScale(sigma_px, sign, threshold, gap, count)
 
 
-def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.ndarray:
+def _weight_by_scale(
+    answers: np.ndarray, noises: list[float], sigmas: np.ndarray, sign: int
+) -> np.ndarray:
     """How much of the picture the blobs that are extrema at each width explain, shape [width].
 
     Squared contrast times area: the rims of large dots are many small blobs of little area.
@@ -228,8 +230,7 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
     weight = np.zeros(len(sigmas))
     for k in range(1, len(sigmas) - 1):
         sigma = sigmas[k]
-        noise = spread_about_zero(answers[k])
-        uv, _ = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
+        uv, _ = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noises[k]))
         at = uv[is_inside(uv, answers[k].shape, 1.5 * float(sigma))].astype(int)
         signed = sign * answers[:, at[:, 1], at[:, 0]]
         extremum = np.all([signed[k] >= signed[j] for j in (k - 1, k + 1)], axis=0)
