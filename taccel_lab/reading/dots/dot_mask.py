@@ -32,12 +32,12 @@ DARKER = 0.15
 """Part of the light that a dot takes at least."""
 MARGIN_SHARE = 0.06
 """Rim around a dot that is covered, too, as a part of the pitch: lenses blur it."""
-SWEEPS = 4
-"""Sweeps over each picture of a half of the size: 0.5 levels from a membrane, of changes of 290."""
-COARSEST_PX = 4
-NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
 COARSE_PARTS = 12
 """Dots are narrower than this part of the shorter side: what a first look for them takes."""
+SWEEPS, COARSEST_PX = 4, 4
+"""Sweeps over each picture of a half of the size: 0.5 levels from a membrane, of changes of 290;
+and the size of the last one."""
+NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
 
 
 @dataclass(frozen=True)
