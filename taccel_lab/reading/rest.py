@@ -52,11 +52,11 @@ class RestingPart:
     """What a coarse look at an image says of its zero."""
 
     blocks: np.ndarray
-    """Those that heights may be counted from, bool, shape [h, w]."""
+    """Blocks that heights may be counted from, bool, shape [h, w]."""
     pressed: np.ndarray
-    """Flat ones that surely lie lower, bool, shape [h, w]."""
+    """Flat blocks that surely lie lower, bool, shape [h, w]."""
     rims: np.ndarray
-    """Those between the two, likewise."""
+    """Blocks between the two, likewise."""
     bulge_m: float
     """Rise of the former over the face at rest by the layer's law [m]; negative where they sink."""
     hidden: bool
