@@ -59,6 +59,8 @@ SHADE_EXPLAINED = 0.82
 """Part of the change (sum of squares), beside each channel's own light, that shade and tone curve
 explain: 0.85 to 1.00 of darkened corners and gammas, 0.79 at most of worn patches, 0.06 at most of
 170 presses of seven units."""
+MIDDLE_SHARE = 0.3
+"""Part of what a lens does to corners that it may do beside them."""
 MOST_SHADE = 0.5, 2.0
 """Limits of such a factor."""
 LEAST_SHADE_LEVELS = 0.3
@@ -112,10 +114,24 @@ class CommonGains:
     def of(self, levels: np.ndarray) -> CommonGain | None:
         """The common factor of a frame made small, levels in the untouched image's light, shape
         [h, w, 3]; None where there is none."""
-        levels = levels.astype(np.float32)
-        if self._counted is not None:
-            levels = np.where(self._counted, levels, self._known)
+        levels = self._counting(levels)
+        if self._one_colour:
+            return self.corners(levels) or self._bands(levels)
         return self._shade(levels) or self._bands(levels) or self._patch(levels)
+
+    def corners(self, levels: np.ndarray) -> CommonGain | None:
+        """The same, where it makes corners darker or brighter and leaves the middle: lamps of one
+        colour tell nothing else from a touch."""
+        size = self._shade_size(self._counting(levels))
+        # A factor that grows with the fourth power from the middle, and none with the second.
+        if size is None or np.abs(size[:3]).sum() > MIDDLE_SHARE * 4 * abs(size[3]):
+            return None
+        return self._shade_of(size)
+
+    def _counting(self, levels: np.ndarray) -> np.ndarray:
+        """Levels, float32, with those of the untouched image where no pixel counts."""
+        levels = levels.astype(np.float32)
+        return levels if self._counted is None else np.where(self._counted, levels, self._known)
 
     def _logs(self, levels: np.ndarray) -> np.ndarray:
         """Logarithms of means over columns that lie together."""
@@ -166,8 +182,6 @@ class CommonGains:
 
     def _patch(self, levels: np.ndarray) -> CommonGain | None:
         """A factor that explains all change of a patch, of one sign."""
-        if self._one_colour:
-            return None
         change = self._blurred(levels) - self._base
         size = np.sqrt(np.einsum("hwc,hwc->hw", change, change))
         patch = size > max(PATCH_LEVELS, PATCH_SHARE * float(size.max()))
@@ -191,8 +205,11 @@ class CommonGains:
 
     def _shade(self, levels: np.ndarray) -> CommonGain | None:
         """A smooth factor and a tone curve that explain most of the change all over the image."""
-        if self._one_colour:
-            return None
+        size = self._shade_size(levels)
+        return None if size is None else self._shade_of(size)
+
+    def _shade_size(self, levels: np.ndarray) -> np.ndarray | None:
+        """Parameters of ``_shades``, [5], where they explain enough."""
         change = (self._blurred(levels) - self._base).reshape(-1)
         change = change - self._own_light @ (self._own_light.T @ change)
         whole = float(np.square(change).sum())
@@ -200,8 +217,9 @@ class CommonGains:
             return None
         size = np.linalg.lstsq(self._shades, change, rcond=None)[0]
         left = float(np.square(change - self._shades @ size).sum())
-        if 1.0 - left / whole < SHADE_EXPLAINED:
-            return None
+        return size if 1.0 - left / whole >= SHADE_EXPLAINED else None
+
+    def _shade_of(self, size: np.ndarray) -> CommonGain:
         most = np.abs(self._shades * size).max(axis=0)
         what = (
             "the camera's tone curve is another than that of"

@@ -118,8 +118,17 @@ class JudgedFrame:
     @cached_property
     def common(self) -> CommonGain | None:
         """A factor of all channels that is no touch."""
-        small = self._small
-        return self._judge.gains.of(self.still.within(small).removed(small.levels))
+        return self._judge.gains.of(self._even)
+
+    @cached_property
+    def corners(self) -> CommonGain | None:
+        """The same of corners that a lens darkens, alone."""
+        return self._judge.gains.corners(self._even)
+
+    @property
+    def _even(self) -> np.ndarray:
+        """Levels of the small image in the untouched image's light."""
+        return self.still.within(self._small).removed(self._small.levels)
 
     def fault(self) -> str:
         """Why it is not what the camera sees of the gel where it was, or nothing."""

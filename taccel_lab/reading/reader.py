@@ -21,6 +21,7 @@ from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
+from taccel_lab.reading.grey import GreyDepths, grey_depths
 from taccel_lab.reading.heights import ReadHeights, on_pixels, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
 from taccel_lab.reading.pressure import PressureReader
@@ -214,7 +215,7 @@ class Reader:
         self.clock.begin("light")
         frame = self.judge.frame(image) if isinstance(image, np.ndarray) else image
         even, remark = frame, ""
-        common = None if self.normal_model is None else frame.common
+        common = frame.corners if self.normal_model is None else frame.common
         if common is not None:
             steady = frame.still.remove(frame.levels) / common.factor
             even, remark = frame.with_levels(frame.still.apply(steady)), common.remark
@@ -252,8 +253,9 @@ class Reader:
         """Whether a coarse look at an image shows a contact, the blocks where one may be and those
         at rest (``LitImage``), and what it saw where there is none."""
         if self.response is not None:
-            rise_m = self.response.read(lit.levels, self._bare, self.mask).height_m
-            return touch_of(rise_m, None, self.grid).any, None, None, None
+            seen = self._grey(lit).depths
+            sigma_m = _metres(seen.reading_sigma_mm)
+            return touch_of(seen.height_m, sigma_m, self.grid).any, None, None, None
         found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
@@ -291,7 +293,8 @@ class Reader:
 
     def _by_depth(self, lit: LitImage, name: str) -> Reading:
         assert self.response is not None
-        found = self.response.read(lit.levels, self._bare, self.mask)
+        grey = self._grey(lit)
+        found = grey.depths
         sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
         if sigma_m is not None and alone_m is not None:
             light_m = 1e-3 * grey_light_sigma_mm(
@@ -301,9 +304,15 @@ class Reader:
         return self._reading(
             lit, name, found.height_m, sigma_m, alone_m,
             method="depth",
+            said=grey.remark,
             normals=normals_from_height(self.rest.height_m + found.height_m, self.grid),
             saturated=found.saturated,
         )  # fmt: skip
+
+    def _grey(self, lit: LitImage) -> GreyDepths:
+        assert self.response is not None
+        thick_mm = self.profile.gel.thickness_mm
+        return grey_depths(self.response, lit.levels, self._bare, self.grid, thick_mm, self.mask)
 
     def _heights(
         self, lit: LitImage, *, coarse: bool = False, uncertainty: bool = True
@@ -393,7 +402,7 @@ class Reader:
     ) -> Reading:
         rest = lit.rest
         pressed = None if rest is None else _on_pixels(rest.pressed, rise_m.shape)
-        said = (lit.remark, "" if rest is None else rest.remark)
+        remarks = (lit.remark, "" if rest is None else rest.remark, by_method.pop("said", ""))
         return Reading(
             grid=self.grid,
             image=lit.frame.image,
@@ -405,7 +414,7 @@ class Reader:
             reading_sigma_m=alone_m,
             touch=touch_of(rise_m, alone_m, self.grid, pressed),
             sigma_of=self.sigma_of,
-            remarks=(*self.remarks, *(remark for remark in said if remark)),
+            remarks=(*self.remarks, *(remark for remark in remarks if remark)),
             **by_method,
         )
 

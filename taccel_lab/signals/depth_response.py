@@ -129,12 +129,19 @@ class DepthResponse:
 
         Masked pixels read as untouched.
         """
+        return self.of_drop(self.drop(image, background), mask)
+
+    def drop(self, image: np.ndarray, background: np.ndarray) -> np.ndarray:
+        """Drop of the channel [levels], shape [h, w], of two RGB images."""
         if image.shape != background.shape or image.ndim != 3 or image.shape[-1] != 3:
             raise InputError(
                 f"image {image.shape} and background {background.shape} must be two RGB images of "
                 "one size"
             )
-        drop = channel_of(background, self.channel) - channel_of(image, self.channel)
+        return channel_of(background, self.channel) - channel_of(image, self.channel)
+
+    def of_drop(self, drop: np.ndarray, mask: np.ndarray | None = None) -> DepthMap:
+        """Depths of drops [levels], [h, w]; masked pixels read as untouched."""
         if mask is not None:
             drop = np.where(mask, drop, self.drop_levels[0])
         alone = self.reading_sigma_mm
