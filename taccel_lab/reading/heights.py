@@ -106,6 +106,9 @@ def read_heights(
     return _joined([found], lambda parts: as_given(parts[0], image))
 
 
+Sloped = tuple[NormalMap["torch.Tensor"], "torch.Tensor", "torch.Tensor"]
+
+
 @dataclass(frozen=True)
 class _Options:
     """How images are read (``read_heights``)."""
@@ -126,28 +129,51 @@ class _Options:
         resting: Any,
     ) -> ReadHeights[torch.Tensor]:
         """Read images of the model's device, all at once."""
+        seen = self.sloped(image, background, mask, rest_normals, around, resting)
+        return self.integrated(seen, mask, around)
+
+    def sloped(
+        self,
+        image: torch.Tensor,
+        background: Any,
+        mask: Any,
+        rest_normals: Any,
+        around: Any,
+        resting: Any,
+    ) -> Sloped:
+        """Normals, slopes from rest, and cells at rest."""
         found = self.model.predict(
             image, background, mask=mask, rest_normals=rest_normals, left_out=self.left_out,
             around=around, coarse=self.coarse,
         )  # fmt: skip
-        every = LARGEST_PX if self.coarse else 1
-        grid = self.grid.thinned(every)
-        mask = None if mask is None else of_blocks(mask, every) > 0.5
         slope = found.slopes()
         if rest_normals is not None:
             # The change of height from rest is integrated: a curved gel's rest is known already.
-            rest = tensor_of(of_blocks(rest_normals, every), like=slope)
+            rest = tensor_of(of_blocks(rest_normals, self._every), like=slope)
             slope = slope + rest[..., :2] / rest[..., 2:]
         step = 1 if self.coarse else CELL_PX
-        zero = resting_border(found, mask, step, resting)
-        # Sizes of a recording do not follow what is touched; all pixels cost a GPU little.
-        whole = self.coarse or around is None or room() is not None
-        rise = risen(slope, grid, zero, mask, step, None if whole else _span(around))
+        return found, slope, resting_border(found, self._thinned(mask), step, resting)
+
+    def integrated(self, seen: Sloped, mask: Any, around: Any) -> ReadHeights[torch.Tensor]:
+        """Heights of what was seen, and their deviations."""
+        (found, slope, zero), mask = seen, self._thinned(mask)
+        step, grid = 1 if self.coarse else CELL_PX, self.grid.thinned(self._every)
+        span = None if self.coarse or around is None else _span(around)
+        rise = risen(slope, grid, zero, mask, step, span)
         zero = zero.repeat_interleave(step, dim=-1).repeat_interleave(step, dim=-2)
         zero = zero[..., : grid.height_px, : grid.width_px]
         read = ReadHeights(found, slope, rise, zero, None, None)
-        config = self.model.config
-        return with_deviations(read, config, grid, mask, every) if self.uncertainty else read
+        if not self.uncertainty:
+            return read
+        return with_deviations(read, self.model.config, grid, mask, self._every)
+
+    @property
+    def _every(self) -> int:
+        """Pixels apart that maps are of."""
+        return LARGEST_PX if self.coarse else 1
+
+    def _thinned(self, mask: Any) -> Any:
+        return None if mask is None else of_blocks(mask, self._every) > 0.5
 
     def recorded(
         self,
@@ -169,14 +195,18 @@ class _Options:
         masked = None if mask is None else np.packbits(mask).tobytes()
         kinds = (None, torch.float32, torch.bool, None, torch.bool, torch.bool)
         values = (image, background, mask, rest_normals, around, resting)
-        return replayed(
+        # Which pixels are integrated follows what is touched, and is no part of a recording.
+        parted = around is not None and not self.coarse
+        work = self.sloped if parted else self.read
+        found = replayed(
             self.model.recordings,
             (self.grid, self.left_out, self.uncertainty, self.coarse, masked),
-            lambda inputs: self.read(*inputs),
+            lambda inputs: work(*inputs),
             [v if v is None else tensor_of(v, kind) for v, kind in zip(values, kinds, strict=True)],
             self.model.device,
             lambda found: _joined([found], lambda parts: parts[0].clone()),
         )
+        return self.integrated(found, mask, around) if parted else found
 
 
 def risen(
@@ -270,6 +300,8 @@ def _cell_means(values: torch.Tensor, cell_px: int) -> torch.Tensor:
 def _joined(parts: Sequence[Any], join: Callable[[list[Any]], Any]) -> Any:
     """Readings of several images as one, whose maps ``join`` makes of theirs."""
     first = parts[0]
+    if isinstance(first, tuple):
+        return tuple(_joined(each, join) for each in zip(*parts, strict=True))
     if isinstance(first, (ReadHeights, NormalMap)):
         names = [field.name for field in fields(first)]
         return replace(first, **{n: _joined([getattr(x, n) for x in parts], join) for n in names})

@@ -10,9 +10,11 @@ and the image read again.
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
@@ -24,6 +26,9 @@ from taccel_lab.reading.room import Room
 
 MOST_KEPT = 6
 """Recordings that are kept, by what is read and how."""
+STAGED_BYTES = 1 << 22
+"""Inputs of the host that are larger are copied by several cores."""
+STAGED_PARTS, STAGED_CORES = 8, 4
 _lock = threading.RLock()
 """Recordings share their memory: one is replayed at a time."""
 
@@ -72,12 +77,16 @@ class Recording:
         self._result: Any = None
         self._asked = torch.empty(0)
         self._constants: list[torch.Tensor] = []
+        self._staged: dict[int, torch.Tensor] = {}
 
     def __call__(self, inputs: Inputs, copied: Copied) -> Any:
         """What work gives for other inputs of the same shapes."""
-        for own, given in zip(self._inputs, inputs, strict=True):
+        for k, (own, given) in enumerate(zip(self._inputs, inputs, strict=True)):
             if own is not None and given is not None:
-                own.copy_(given, non_blocking=True)
+                if given.is_cuda or given.is_pinned() or given.nbytes < STAGED_BYTES:
+                    own.copy_(given, non_blocking=True)
+                else:
+                    self._stage(k, own, given)
         while True:
             if self._graph is None:
                 self._record()
@@ -88,6 +97,20 @@ class Recording:
             if self.room.enough(self._asked.tolist()):
                 return found
             self._graph = None
+
+    def _stage(self, k: int, own: torch.Tensor, given: torch.Tensor) -> None:
+        """Copy a large input of the host part by part over memory that a GPU reads by itself, so
+        that several cores copy at once, and the GPU meanwhile."""
+        if k not in self._staged:
+            self._staged[k] = torch.empty(given.shape, dtype=given.dtype, pin_memory=True)
+        staged = self._staged[k]
+        pairs = [x.flatten().tensor_split(STAGED_PARTS) for x in (staged, given)]
+        copies = [_cores().submit(mid.copy_, part) for mid, part in zip(*pairs, strict=True)]
+        for copy, part, mid in zip(
+            copies, own.flatten().tensor_split(STAGED_PARTS), pairs[0], strict=True
+        ):
+            copy.result()
+            part.copy_(mid, non_blocking=True)
 
     def unrecorded(self, inputs: Inputs) -> Any:
         """The same, launch by launch, in the same room."""
@@ -106,13 +129,21 @@ class Recording:
                     self._work(self._inputs)
         stream.synchronize()
         graph, constants = torch.cuda.CUDAGraph(), _Constants()
-        with (
-            torch.cuda.graph(graph, pool, stream, capture_error_mode="thread_local"),
-            self.room.entered(),
-            constants,
-        ):
-            self._result = self._work(self._inputs)
-            self._asked = self.room.asked()
+        # Graphs of readers that are gone must not be taken down while one is recorded.
+        gc.collect()
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            with (
+                torch.cuda.graph(graph, pool, stream, capture_error_mode="thread_local"),
+                self.room.entered(),
+                constants,
+            ):
+                self._result = self._work(self._inputs)
+                self._asked = self.room.asked()
+        finally:
+            if collects:
+                gc.enable()
         now.wait_stream(stream)
         self._graph, self._constants = graph, constants.found
 
@@ -154,6 +185,11 @@ def _pool(device: int) -> Any:
     with torch.cuda.graph(keeper, pool, _stream(device), capture_error_mode="thread_local"):
         kept = torch.zeros(1, device=f"cuda:{device}")
     return pool, keeper, kept
+
+
+@cache
+def _cores() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(STAGED_CORES, "images to a GPU")
 
 
 @cache

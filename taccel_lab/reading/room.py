@@ -43,7 +43,7 @@ class Room:
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Context of one reading with these sizes, whose needs and checks replace those before."""
-        self._needs, self._checks = {}, []
+        self._needs, self._checks, self.counted = {}, [], None
         before = _entered.set(self)
         try:
             yield

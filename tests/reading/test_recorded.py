@@ -53,6 +53,8 @@ def holes() -> np.ndarray:
 
 UPPER = np.arange(23)[:, None] * np.ones(31) < 12
 """Blocks of the upper half."""
+MIDDLE = np.pad(np.ones((12, 14), bool), ((3, 8), (6, 11)))
+"""Blocks about a dent."""
 
 
 def assert_alike(found: ReadHeights, known: ReadHeights) -> None:
@@ -89,6 +91,26 @@ def test_fixed_sizes_read_what_sizes_of_each_image_do(masked: bool):
     more, enough = read(shown)
     assert enough and torch.equal(more.rise_m, found.rise_m)
     assert np.array_equal(np.asarray(more.sigma_m), np.asarray(found.sigma_m))
+
+
+def with_small(device: str = "cpu") -> NormalModel:
+    """A model whose small network leaves half of all blocks to the ensemble."""
+    config = replace(MODEL, small_hidden=(24, 24))
+    weights = random_weights(config, spread=0.3)
+    last = [name for name in weights if name.startswith("small.") and name.endswith("bias")][-1]
+    weights[last] = weights[last] - np.array([0, 0, 0, 0.9], np.float32)
+    return NormalModel(config, weights, device)
+
+
+def test_a_room_reads_coarsely_as_often_as_it_is_asked():
+    """Whatever was left to the ensemble before."""
+    (shown, still), room = images(), Room()
+    known = read_heights(with_small(), shown, still, WIDE_GRID, coarse=True)
+    for _ in range(3):
+        with room.entered():
+            given = torch.from_numpy(shown)
+            found = read_heights(with_small(), given, still, WIDE_GRID, coarse=True)
+    assert_alike(found, known)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -138,23 +160,24 @@ class TestOnGpu:
     pytestmark = needs_gpu
 
     @pytest.mark.parametrize(
-        "options", [{}, {"mask": holes()}, {"coarse": True}, {"resting": UPPER}]
+        "options",
+        [{}, {"mask": holes()}, {"coarse": True}, {"resting": UPPER}, {"around": MIDDLE}],
     )
-    def test_a_recording_reads_what_a_cpu_does(self, options):
+    @pytest.mark.parametrize("made", [model, with_small])
+    def test_a_recording_reads_what_a_cpu_does(self, made, options):
         shown, still = images()
-        known = read_heights(model(), shown, still, WIDE_GRID, **options)
-        reading = model("cuda:0")
+        known = read_heights(made(), shown, still, WIDE_GRID, **options)
+        reading = made("cuda:0")
         nothing = np.stack([still] * 3)
         before = read_heights(reading, nothing, still, WIDE_GRID, **options)
         assert np.abs(before.slope).max() < 1e-6
         assert_alike(read_heights(reading, shown, still, WIDE_GRID, **options), known)
         assert len(reading.recordings) == 1
 
-    @pytest.mark.parametrize("small", [(), (24, 24)])
+    @pytest.mark.parametrize("small", [False, True])
     def test_a_recording_gives_the_bits_of_what_it_recorded(self, small):
         shown, still = images()
-        config = replace(MODEL, small_hidden=small)
-        reading = NormalModel(config, random_weights(config, spread=0.3), "cuda:0")
+        reading = with_small("cuda:0") if small else model("cuda:0")
         given = torch.from_numpy(shown).cuda()
         found = read_heights(reading, given, torch.from_numpy(still).cuda(), WIDE_GRID)
         (recording,) = reading.recordings.values()
