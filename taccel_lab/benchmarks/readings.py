@@ -3,8 +3,9 @@
 kept reader's time beside a small network's.
 
 Dents with a sharp rim, slow sinking beside them and a camera's noise are read by networks of the
-real size: random layers, the last one fitted to a dent. Images come as bytes of the host, maps stay
-on the device. Heights are compared with those of a reading of every pixel alone.
+real size: random layers, the last one fitted to a dent. Images come as bytes of the host, on a GPU
+also page-locked or of the device, and maps stay on the device. Heights are compared with those of a
+reading of every pixel alone.
 """
 
 from __future__ import annotations
