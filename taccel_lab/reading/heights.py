@@ -119,18 +119,10 @@ class _Options:
     uncertainty: bool
     coarse: bool
 
-    def read(
-        self,
-        image: torch.Tensor,
-        background: Any,
-        mask: Any,
-        rest_normals: Any,
-        around: Any,
-        resting: Any,
-    ) -> ReadHeights[torch.Tensor]:
-        """Read images of the model's device, all at once."""
-        seen = self.sloped(image, background, mask, rest_normals, around, resting)
-        return self.integrated(seen, mask, around)
+    def read(self, *inputs: Any) -> ReadHeights[torch.Tensor]:
+        """Read images of the model's device, all at once; inputs as of ``sloped``."""
+        _, _, mask, _, around, _ = inputs
+        return self.integrated(self.sloped(*inputs), mask, around)
 
     def sloped(
         self,
