@@ -325,5 +325,7 @@ def _net_rise(reader: Reader, image: np.ndarray) -> tuple[float, float]:
 
     Both of squares [mm2]: a contact is deep, what surrounds it wide.
     """
-    rise_mm = -1e3 * reader.surface(reader.lit(image)).depth_m
+    # What lies highest is what is asked here, and no zero.
+    lit = replace(reader.lit(image), rest=None)
+    rise_mm = -1e3 * reader.surface(lit).depth_m
     return float((rise_mm * np.abs(rise_mm)).sum()), float(np.square(rise_mm).sum())

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.reading.dots.blobs import grey_levels
+from taccel_lab.reading.dots.blobs import MIN_SIZE_PX, grey_levels
 from taccel_lab.reading.dots.marker_picture import MIN_DOTS, MarkerPicture, markers_or_none
 from taccel_lab.reading.thumb import resized
 
@@ -54,6 +54,8 @@ class DotMask:
     def of(cls, untouched: np.ndarray) -> DotMask | None:
         """The dots of an untouched picture, RGB levels, shape [height_px, width_px, 3]; None where
         it shows no lattice of dark ones."""
+        if min(untouched.shape[:2]) < MIN_SIZE_PX:
+            return None
         coarse = min(untouched.shape[:2]) / COARSE_PARTS / WINDOW_SHARE
         if not _stand_evenly(_covered(untouched, coarse)):
             return None
