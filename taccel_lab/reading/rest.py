@@ -37,6 +37,10 @@ LEAST_MM = 0.015
 PRESSED_SHARE = 0.5
 """Part of the image's whole depth from which on a part lies lower than another: what errors add up
 to on the way over a contact is a fifth of what is climbed."""
+FLAT_SHARE = 0.5
+"""Least part of the image that rests or is pressed flat: beside a finger levels mean little."""
+BORDER_SEEN = 0.9
+"""Least part of the border that counts: a mask may cut a contact into what looks like a plate."""
 RING_FLAT = 0.25
 """Part of the outermost blocks that are flat, below which none of them is at rest for certain."""
 INNER_SHARE = 0.3
@@ -98,7 +102,10 @@ def resting_part(
     flat, flat_deg = flat_blocks(tilt_deg, counted)
     labels, sizes = _parts(flat)
     large = [k for k in range(1, len(sizes)) if sizes[k] >= PART_SHARE * flat.size]
-    ring = _ring(flat.shape) & counted
+    whole = _ring(flat.shape)
+    ring = whole & counted
+    if ring.sum() < BORDER_SEEN * whole.sum():
+        return None
     hidden = bool(
         flat[ring].sum() < RING_FLAT * ring.sum()
         and max(sizes[1:], default=0) > INNER_SHARE * flat.size
@@ -117,6 +124,8 @@ def resting_part(
         lower = [int(np.argmax(sizes[1:])) + 1]
         resting = ring
     pressed = np.isin(labels, lower)
+    if (resting | pressed).sum() < FLAT_SHARE * counted.sum():
+        return None
     if not hidden and not (ring & pressed).any():
         return None  # The border is at rest, whatever is pressed inside.
     band = ~flat & counted & _near(pressed) & _near(resting)
