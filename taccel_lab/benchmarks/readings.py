@@ -39,6 +39,8 @@ LOG_ERROR = -4.0
 """Logarithm of the expected error [rad]."""
 TAUGHT = 100
 """Steps of a fit after which the small network is taught."""
+LEAST_TAUGHT = 14_000
+"""Pixels that networks are made and taught with at least, as far as an image has them."""
 CPU_AIM_PER_S, GPU_AIM_PER_S = 20, 10_000
 
 
@@ -107,14 +109,15 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
         name: rng.normal(0.0, shape[-1] ** -0.5 if name.endswith("weight") else 0.1, shape)
         for name, shape in config.weight_shapes().items()
     }
-    # What the last layer has to make of the ones before, at every few pixels.
-    inputs = config.normalise(features)[::7]
+    # What the last layer has to make of the ones before, at every few pixels of a large image.
+    apart = min(7, max(1, len(features) // LEAST_TAUGHT))
+    inputs = config.normalise(features)[::apart]
     pairs = [(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(3)]
     layers = [(torch.tensor(weight), torch.tensor(bias)) for weight, bias in pairs]
     given = torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1)
     hidden = network(layers, given)
     active = torch.nn.functional.silu(hidden).numpy()
-    wanted = tilts[0].reshape(-1, 2)[::7]
+    wanted = tilts[0].reshape(-1, 2)[::apart]
     for k in range(config.members):
         terms = np.column_stack([active[k], np.ones(len(wanted))])
         gram = terms.T @ terms + 1e-3 * len(terms) * np.eye(terms.shape[1])
