@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a small network is taught of a fitted ensemble: what a reader will ask of it.
+"""Lessons of a small network by a fitted ensemble: blocks that a reader will ask about.
 
 These are blocks of the training presses as they are read, and the pixels of balls, zooms and
 synthetic presses that the ensemble was fitted to. Every fourth press, captured or synthetic, is not
@@ -86,7 +86,7 @@ def distilled(
 def _lesson(
     model: NormalModel, training: InverseTraining, unseen: bool, rng: np.random.Generator
 ) -> Lesson:
-    """What is shown, or what is left out."""
+    """Lesson of what is shown, or of what is left out."""
     count, synthetic = len(training.frames), np.array(training.synthetic)
     presses = [i for i in range(count) if (i % LEFT_OUT == LEFT_OUT - 1) == unseen]
     border = len(synthetic) - len(synthetic) // LEFT_OUT

@@ -49,7 +49,7 @@ TINY = 1e-20
 
 
 class Lesson(NamedTuple):
-    """What an ensemble answers."""
+    """Answers of an ensemble."""
 
     inputs: torch.Tensor
     """Network inputs, shape [n, feature]."""
@@ -63,7 +63,7 @@ class Lesson(NamedTuple):
 
     @classmethod
     def by(cls, model: NormalModel, inputs: torch.Tensor) -> Lesson:
-        """What the ensemble of ``model`` answers to network inputs [n, feature]."""
+        """Answers of the ensemble of ``model`` to network inputs [n, feature]."""
         config = model.config
         mean, scale = (np.array(x, np.float32) for x in (config.input_mean, config.input_scale))
         tilt, error = model.predict_pixels(inputs.numpy() * scale + mean)

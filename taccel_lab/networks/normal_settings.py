@@ -34,7 +34,7 @@ SMALL_OUTPUTS = OUTPUTS + 1
 """The same of the ensemble, errors with the members' disagreement, and the logarithm of the angle
 that the small network is expected to be off the ensemble [rad]."""
 SMALL = "small."
-"""What names of the small network's weights begin with."""
+"""Beginning of the names of the small network's weights."""
 RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
 """Length that 95 % of vectors of two independent normal deviates of unit standard deviation stay
 below."""

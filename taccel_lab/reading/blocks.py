@@ -122,9 +122,9 @@ def read_in_blocks(
 def read_in_room(
     windows: FeatureWindows, answer: Answer, around: torch.Tensor | None, here: Room
 ) -> torch.Tensor:
-    """What ``painted`` makes of ``read_in_blocks`` for each image by itself, in sizes that do not
-    follow the images: smaller blocks are picked into as many places as there is room for, and maps
-    are of whole images, whose parts are told by where flags are set."""
+    """Maps that ``painted`` makes of ``read_in_blocks`` for each image by itself, in sizes that do
+    not follow the images: smaller blocks are picked into as many places as there is room for, and
+    maps are of whole images, whose parts lie where flags are set."""
     import torch
 
     from taccel_lab.reading import fixed_blocks as kernels

@@ -164,7 +164,7 @@ class _Windows:
     alike: tuple[tuple[int, int, int], ...]
     """Pixels along the cells, the first window that takes them, and that after the last."""
     over: torch.Tensor
-    """Widths that variations are told over [px]."""
+    """Widths of the windows across which values vary [px]."""
     mean_row: torch.Tensor
     """Feature that the average is; -1 where it is none."""
     change_row: torch.Tensor

@@ -170,7 +170,7 @@ class JudgedFrame:
 
     @cached_property
     def _is_other_gel(self) -> bool:
-        """Whether the gel's finest pattern is another one, where the light leaves that open."""
+        """True where the gel's finest pattern is another one, and the light leaves that open."""
         if self.still.noise_levels < UNEXPLAINED_LEVELS or self._judge.fine is None:
             return False
         small = SmallImage.of(self.levels, self._judge.mask, FINE_PX)

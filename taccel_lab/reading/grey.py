@@ -35,7 +35,7 @@ RIM_SHARE, RIM_THICKNESS = 0.4, 0.125
 two. Beside a half plane, the sharpest tool, a layer comes up from half the depth to a tenth of it
 over 0.07 of its thickness; beside a ball over twice the contact's radius."""
 NAMED_PX = 12
-"""Pixels of the smallest speck that a user is told of: smaller ones are noise."""
+"""Pixels of the smallest speck that is named: smaller ones are noise."""
 BESIDE_PX = 2
 """Pixels beside a speck that it blurs into."""
 

@@ -60,7 +60,7 @@ class LitImage:
     are read pixel by pixel; None for all."""
     rest: RestingPart | None = None
     """The part that heights are counted from; None where it is the whole border."""
-    seen: ReadHeights | None = None
+    seen: ReadHeights | GreyDepths | None = None
     """What a coarse look saw of an image that shows no touch: there is no more to be read."""
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
@@ -249,13 +249,14 @@ class Reader:
 
     def _look(
         self, lit: LitImage
-    ) -> tuple[bool, np.ndarray | None, RestingPart | None, ReadHeights | None]:
+    ) -> tuple[bool, np.ndarray | None, RestingPart | None, ReadHeights | GreyDepths | None]:
         """Whether a coarse look at an image shows a contact, the blocks where one may be and those
         at rest (``LitImage``), and what it saw where there is none."""
         if self.response is not None:
-            seen = self._grey(lit).depths
-            sigma_m = _metres(seen.reading_sigma_mm)
-            return touch_of(seen.height_m, sigma_m, self.grid).any, None, None, None
+            grey = self._grey(lit)
+            sigma_m = _metres(grey.depths.reading_sigma_mm)
+            dented = touch_of(grey.depths.height_m, sigma_m, self.grid).any
+            return dented, None, None, None if dented else grey
         found = self._heights(lit, coarse=True)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
@@ -293,7 +294,7 @@ class Reader:
 
     def _by_depth(self, lit: LitImage, name: str) -> Reading:
         assert self.response is not None
-        grey = self._grey(lit)
+        grey = lit.seen if isinstance(lit.seen, GreyDepths) else self._grey(lit)
         found = grey.depths
         sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
         if sigma_m is not None and alone_m is not None:
@@ -333,7 +334,7 @@ class Reader:
 
     def _by_normals(self, lit: LitImage, name: str) -> Reading:
         assert self.normal_model is not None
-        if lit.seen is not None:
+        if isinstance(lit.seen, ReadHeights):
             return self._untouched(lit, lit.seen, name)
         found = self._heights(lit, uncertainty=False)
         self.clock.begin("deviations")

@@ -145,7 +145,7 @@ def test_a_kernel_takes_blocks_through_all_layers(widths: tuple[int, ...]):
 
 
 def test_faults_of_input_are_kept_until_a_result_is_asked_for():
-    """As they are told at once where sizes follow the image."""
+    """As at once, where sizes follow the image."""
     slope, grid, room = np.full((9, 9, 2), np.nan), PixelGrid(9, 9, 1.0, 1.0), Room()
     with pytest.raises(InputError, match="NaN"):
         height_from_slopes(slope, grid)
