@@ -61,12 +61,6 @@ BACKGROUND_PRESSED = error(
     BY_BACKGROUND,
 )
 
-MEDIAN_PRESSED = error(
-    "median_pressed",
-    "the median of the presses shows a press, too: {reason}. Take an image of the untouched gel",
-    BY_BACKGROUND,
-)
-
 # Light and channels.
 SATURATED = warning(
     "saturated",
@@ -93,7 +87,7 @@ MIXED_SENSORS = error(
     "mixed_sensors",
     "the untouched gel looks different in {names} than in the other {others} images compared: "
     "{between:.0f} levels apart where frames of one kind differ by {within:.0f}. They are of "
-    "another sensor, crop or lamp setting; give each its own folder",
+    "another sensor, another crop, or another lamp setting; give each its own folder",
     ("color", "normals", "background"),
 )
 
@@ -177,9 +171,9 @@ SCALE_UNUSUAL = warning(
 SIZE_OTHER = warning(
     "size_other",
     "the images are {width}x{height} px, those of the catalogue's {family} "
-    "{usual_width}x{usual_height} px: other proportions show another part of the gel. Is it "
-    "another crop, mode of the camera or sensor? State the scale of these images (mm_per_px_x, "
-    "mm_per_px_y), and give later ones the same framing",
+    "{usual_width}x{usual_height} px: of other proportions, so that they cannot show the same part "
+    "of the gel. Is it another crop, another mode of the camera, or another sensor? State the "
+    "scale of these images (mm_per_px_x, mm_per_px_y), and give later images the same framing",
     ("scale", "background", "color", "normals", "depth"),
 )
 

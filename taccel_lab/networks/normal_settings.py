@@ -155,6 +155,12 @@ class NormalModelConfig(NetworkSettings):
         return np.hypot(spans[0][None, :], spans[1][:, None]) / min(self.width_px, self.height_px)
 
     @property
+    def blur_px(self) -> float:
+        """Standard deviation that the outline of a contact may be off by: half of the distance over
+        which pixels err together. Real flat faces are read up to this much too wide."""
+        return 0.5 * self.error_length_px
+
+    @property
     def features(self) -> tuple[str, ...]:
         """Names of the network inputs in order."""
         return feature_names(

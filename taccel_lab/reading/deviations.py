@@ -58,8 +58,9 @@ class HeightUncertainty:
             error_length_px: Standard deviation of the Gaussian that errors are smooth over [px].
         """
         self.grid, self.error_length_px = grid, error_length_px
-        self._every = max(1, int(error_length_px / LOOKS_PER_LENGTH))
-        self.part = (..., *(np.s_[self._every // 2 :: self._every],) * 2)
+        self.every = max(1, int(error_length_px / LOOKS_PER_LENGTH))
+        """Rows and columns apart that are looked at."""
+        self.part = (..., *(np.s_[self.every // 2 :: self.every],) * 2)
         """Rows and columns that are looked at."""
 
     def sigma_m(self, slope_sigma: Array, *, weights: Any = None, zero: Any = None) -> Array:
@@ -109,7 +110,7 @@ class HeightUncertainty:
             weights = tensor_of(weights, like=sigma)
             mask = once("deviations' mask", partial(_packed, weights))
             weights = weights[self.part].to(torch.float64)
-        operator = spread_operator(self.grid, self.error_length_px, self._every, sigma.device, mask)
+        operator = spread_operator(self.grid, self.error_length_px, self.every, sigma.device, mask)
         if zero is not None:
             # Bytes become numbers in a quarter of the time that bits do.
             zero = tensor_of(zero, torch.bool, sigma).view(torch.uint8).to(torch.float32)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from taccel_lab.reading.common_gain import CommonGain, CommonGains
@@ -94,6 +95,13 @@ class JudgedFrame:
     def with_levels(self, levels: np.ndarray) -> JudgedFrame:
         """The same frame with other levels, of its shape."""
         return replace(self, levels=levels.astype(np.float32))
+
+    def without(self, specks: np.ndarray) -> JudgedFrame:
+        """The same frame where ``specks``, bool, [height_px, width_px], and what they blur into are
+        as the gel around them."""
+        free = cv2.dilate(specks.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
+        bare = self._judge.bare
+        return self.with_levels(bare + painted_over(self.levels - bare, free))
 
     @cached_property
     def lost(self) -> BrokenFrame | None:

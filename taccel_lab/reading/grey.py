@@ -78,7 +78,7 @@ def grey_depths(
     specks = _specks(found.depth_mm, pixel_mm, thickness_mm)
     remark = ""
     if specks.any():
-        remark = _about(specks, pixel_mm)
+        remark = about_specks(specks, pixel_mm)
         wide = np.ones((2 * BESIDE_PX + 1,) * 2, np.uint8)
         specks = cv2.dilate(specks.astype(np.uint8), wide) > 0
         found = response.of_drop(np.where(specks, response.drop_levels[0], drop), mask)
@@ -149,7 +149,7 @@ def _specks(depth_mm: np.ndarray, pixel_mm: float, thickness_mm: float) -> np.nd
     return found
 
 
-def _about(specks: np.ndarray, pixel_mm: float) -> str:
+def about_specks(specks: np.ndarray, pixel_mm: float) -> str:
     """Number, size and place of the specks, a sentence; empty where they are a few pixels each."""
     import cv2
 

@@ -37,6 +37,12 @@ FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0
 """Tilts below this angle do anyway."""
+QUIET_TIMES = 3.0
+"""Root mean squares of slopes at rest that these may be off by."""
+APART_LENGTHS, ROUGH_MEDIAN = 2.0, 1.324
+"""Lengths over which slopes err together that two of them are compared over, and the median of how
+far they differ where each component has a unit standard deviation: sqrt(2 (1 - 1 / e)) times
+sqrt(2 ln 2)."""
 
 
 @dataclass(frozen=True)
@@ -334,9 +340,12 @@ def with_deviations(
     uncertain = HeightUncertainty(grid, config.error_length_px / every)
     part, vectors = uncertain.part, (*uncertain.part, slice(None))
     seen = replace(normals, tilt_rad=normals.tilt_rad[vectors], sigma_deg=normals.sigma_deg[part])
-    reading, along = uncertain.both_m(
-        tensor_of(read.slope[vectors]), tensor_of(seen.slope_sigma()), weights=mask, zero=read.zero
-    )
+    slope, slope_sigma = tensor_of(read.slope[vectors]), tensor_of(seen.slope_sigma())
+    reading, along = uncertain.both_m(slope, slope_sigma, weights=mask, zero=read.zero)
+    counted = None if mask is None else tensor_of(mask[uncertain.part], like=slope)
+    apart = round(APART_LENGTHS * config.error_length_px / (every * uncertain.every))
+    factor = quiet_factor(slope, slope_sigma, apart, counted)
+    reading, quiet = reading * factor.clamp(min=1.0), factor.clamp(max=1.0)
     rise = tensor_of(read.rise_m)
     if room() is not None:
         from taccel_lab.reading.fixed_surface import deviations_of
@@ -346,14 +355,47 @@ def with_deviations(
         reading, sigma = (
             found.reshape(rise.shape) for found in deviations_of(*flat, factors=factors)
         )
-        return replace(read, sigma_m=sigma, reading_sigma_m=reading)
+        return replace(read, sigma_m=sigma, reading_sigma_m=reading * quiet.to(reading.dtype))
     # As a sum of squares: a third of the time of ``hypot``.
     reading = reading.mul_(config.height_factor).to(rise.dtype)
     variance = along.mul_(config.along_factor).square_().to(rise.dtype)
     variance.addcmul_(reading, reading).addcmul_(rise, rise, value=config.depth_share**2)
     sigma = variance.sqrt_()
-    given = read.rise_m
+    given, reading = read.rise_m, reading * quiet.to(reading.dtype)
     return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))
+
+
+def quiet_factor(
+    slope: torch.Tensor, sigma: torch.Tensor, apart: int, mask: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Factor on the standard deviations of heights where nothing touches, shape [..., 1, 1].
+
+    Networks expect of every image what they were off by in presses. Without a change of colour they
+    read rest exactly; what is off then is this image's noise and light, and the image shows both.
+    Slopes that stay within their deviation, which are most, are off by ``QUIET_TIMES`` their root
+    mean square at most; and no less than by how much slopes far apart differ, at the median: noise
+    that no training had.
+
+    Args:
+        slope: From rest, shape [..., h, w, 2].
+        sigma: Standard deviation of each component, shape [..., h, w].
+        apart: Rows between those that are compared.
+        mask: Those that count, likewise.
+    """
+    import torch
+
+    size2 = slope.square().sum(dim=-1) / sigma.square()
+    weight = (size2 * -0.5).exp()
+    if mask is not None:
+        weight = weight * mask
+    total = weight.sum(dim=(-2, -1)).clamp(min=1e-6)
+    quiet = QUIET_TIMES * ((weight * size2).sum(dim=(-2, -1)) / (2 * total)).sqrt()
+    apart = min(max(apart, 1), slope.shape[-3] - 1)
+    # Every second column is enough for a median.
+    step = slope[..., apart:, ::2, :] - slope[..., :-apart, ::2, :]
+    rough = step.square().sum(dim=-1).sqrt() / sigma[..., apart:, ::2]
+    rough = rough.flatten(-2).median(dim=-1).values / ROUGH_MEDIAN
+    return torch.maximum(quiet.clamp(max=1.0), rough)[..., None, None]
 
 
 def resting_border(

@@ -28,8 +28,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -44,9 +42,10 @@ from taccel_lab.profile.assumed import (
 )
 from taccel_lab.profile.measured_range import poisson_interval
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, pressure_under
+from taccel_lab.reading.contact_pressure import ContactPressure
 from taccel_lab.reading.overstress import Overstress
 from taccel_lab.reading.spread_operator import resampling
-from taccel_lab.reading.touch import Touch
+from taccel_lab.reading.touch import Touch, least_logs
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.with_error import NORMAL_95
 
@@ -84,65 +83,22 @@ UNKNOWN_SHARE = 0.01
 """Part of a force from which on a remark says that its time is not known."""
 
 
-@dataclass(frozen=True)
-class ContactPressure:
-    """What presses the gel."""
-
-    pressure_pa: np.ndarray
-    """Contact pressure [Pa], at least 0, shape [height_px, width_px] of the reading."""
-    force_n: float
-    """Normal force [N], its integral over the view."""
-    force_interval_n: tuple[float, float] | None
-    """95 % interval of the force [N]; None where the height's deviation is not known."""
-    area_mm2: float
-    """Area in contact [mm2]."""
-    area_interval_mm2: tuple[float, float] | None
-    """95 % interval of the area [mm2], likewise."""
-    center_mm: tuple[float, float] | None
-    """Centre of pressure in the gel frame [mm]; None without contact."""
-    remarks: tuple[str, ...]
-    """What the force rests on, and what is not in its interval, a sentence each."""
-
-    @property
-    def force_words(self) -> str:
-        """Force and its interval in words."""
-        return _with_interval(self.force_n, self.force_interval_n, "N")
-
-    @property
-    def area_words(self) -> str:
-        """Area, its interval and the largest pressure in words."""
-        area = _with_interval(self.area_mm2, self.area_interval_mm2, "mm2")
-        return f"{area} in contact, pressure up to {1e-3 * float(self.pressure_pa.max()):.3g} kPa"
-
-    def figures(self) -> dict[str, Any]:
-        """All numbers, ready for JSON."""
-        return {
-            "force_n": self.force_n,
-            "force_interval_n": self.force_interval_n and list(self.force_interval_n),
-            "area_mm2": self.area_mm2,
-            "area_interval_mm2": self.area_interval_mm2 and list(self.area_interval_mm2),
-            "max_pressure_kpa": 1e-3 * float(self.pressure_pa.max()),
-            "center_mm": self.center_mm and list(self.center_mm),
-            "force_remarks": list(self.remarks),
-        }
-
-
-def _with_interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
-    words = f"{value:.3g} {unit}"
-    return words if ends is None else words + f" (95 %: {ends[0]:.3g} to {ends[1]:.3g} {unit})"
-
-
 class PressureReader:
     """Finds pressures of one sensor's readings, one frame after another."""
 
     def __init__(
-        self, profile: SensorProfile, grid: PixelGrid, rest: RestSurface | None = None
+        self,
+        profile: SensorProfile,
+        grid: PixelGrid,
+        rest: RestSurface | None = None,
+        blur_px: float = 0.0,
     ) -> None:
         """
         Args:
             profile: Whose thickness, modulus and Poisson's ratio are taken, with their intervals.
             grid: That of the readings.
             rest: The undeformed face on it, where it is known already.
+            blur_px: Standard deviation that a contact's outline may be read outward by [px].
 
         Raises:
             InputError: A dome, for which no flat layer stands.
@@ -154,7 +110,7 @@ class PressureReader:
                 "no pressure is read: the gel is a dome, and the layer that pressures are found "
                 "by is flat"
             )
-        self.grid = grid
+        self.grid, self._blur_mm = grid, blur_px * max(grid.mm_per_px_x, grid.mm_per_px_y)
         material, gel = profile.material, profile.gel
         self.layer = BondedLayer(gel.thickness_mm, material.poisson_ratio)
         self.pa = material.young_modulus_pa / (2 * (1 - material.poisson_ratio**2))
@@ -226,8 +182,8 @@ class PressureReader:
             if reading_mm > 0 and len(pressed):
                 film = reading_mm / float(pressed.mean())
                 pressure = self._solved(gap, self.layer, pressure, film)
-            sigma_mm = 1e3 * self._small(height_sigma_m, part)
-            interval, areas = self._intervals(pressure, gap, sigma_mm, film, touch.most_mm2)
+            sigmas_mm = [1e3 * self._small(each, part) for each in (height_sigma_m, alone_m)]
+            interval, areas = self._intervals(pressure, gap, sigmas_mm, film, touch.most_mm2)
         whole[part] = pressure
         limits = self._limits(-float(gap.min()), whole)
         if self._overstress is None:
@@ -270,21 +226,27 @@ class PressureReader:
         self,
         pressure: np.ndarray,
         gap: np.ndarray,
-        sigma: np.ndarray,
+        sigmas: Sequence[np.ndarray],
         film: float,
         most_mm2: float,
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """95 % intervals of the force [N] and of the area [mm2], of ``most_mm2`` at most: where a
         face rises slowly, what lies too low to count as touched may be."""
-        far = NORMAL_95 * sigma
-        shallow = self._solved(gap + far, self.layer, pressure, film, ENDS)
+        sigma, alone = sigmas
+        far, lowest = NORMAL_95 * sigma, np.unravel_index(int(np.argmin(gap)), gap.shape)
+        depth_mm = -float(gap[lowest])
+        added, grown = least_logs(depth_mm, float(sigma[lowest]), float(alone[lowest]))
+        shallow = np.zeros_like(pressure)
+        if math.isfinite(added):
+            shallow = self._solved(gap + NORMAL_95 * alone, self.layer, pressure, film, ENDS)
         # As far on the other side, until it is known better.
         start = np.maximum(2 * pressure - shallow, 0.0)
         deep = self._solved(gap - far, self.layer, start, film, ENDS)
         area, less, more = (self._area_mm2(found) for found in (pressure, shallow, deep))
         shallow_mm2 = most_mm2 if less == 0.0 else 0.0
         seen = min(area, less), max(area, more, shallow_mm2)
-        areas = _widened(area, seen, (self._scale,), (self._scale,))
+        outline = math.log(max(area, 1e-12) / max(self._inner_mm2(pressure), 1e-12))
+        areas = _widened(area, seen, (self._scale, outline), (self._scale,))
         force, lower, higher = (self._force_n(found) for found in (pressure, shallow, deep))
         by_gel = []
         for ends in self._ends:
@@ -296,7 +258,9 @@ class PressureReader:
             )
             by_gel.append(0.5 * math.log(max(one, 1e-12) / max(other, 1e-12)))
         low, high = self._other_logs(-float(gap.min()))
-        return _widened(force, (lower, higher), (*by_gel, *low), (*by_gel, *high)), areas
+        # Pressures are in proportion to the face.
+        low = (*by_gel, *low, grown)
+        return _widened(force, (lower, higher), low, (*by_gel, *high)), areas
 
     def _other_logs(self, depth_mm: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Logarithms of the factors that the force may be lower and higher by, whatever the face:
@@ -357,6 +321,19 @@ class PressureReader:
         return float(self._contact(pressure).sum()) * (
             self._coarse.mm_per_px_x * self._coarse.mm_per_px_y
         )
+
+    def _inner_mm2(self, pressure: np.ndarray) -> float:
+        """Area of what touches [mm2] but for what lies as near to its outline as a reading may have
+        blurred that. Beyond the image it goes on."""
+        import cv2
+
+        contact, coarse = self._contact(pressure), self._coarse
+        step = math.sqrt(coarse.mm_per_px_x * coarse.mm_per_px_y)
+        off = NORMAL_95 * self._blur_mm / step
+        wide = np.pad(contact, beyond := int(off) + 1, mode="edge").astype(np.uint8)
+        away = cv2.distanceTransform(wide, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        inner = (away - 0.5 > off)[beyond:-beyond, beyond:-beyond] & contact
+        return step**2 * float(inner.sum())
 
     def _found(
         self,

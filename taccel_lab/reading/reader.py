@@ -9,7 +9,7 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -18,12 +18,14 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.blocks import LARGEST_PX
+from taccel_lab.reading.colour_specks import colour_specks
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
-from taccel_lab.reading.grey import GreyDepths, grey_depths
+from taccel_lab.reading.grey import GreyDepths, about_specks, grey_depths
 from taccel_lab.reading.heights import ReadHeights, on_pixels, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
+from taccel_lab.reading.lit_image import LitImage
 from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.rest import RestingPart, resting_part
@@ -40,30 +42,6 @@ GUESSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
 AROUND_BLOCKS = 2
 """Blocks beside those that may be touched that are read pixel by pixel, too: rims bend."""
-
-
-@dataclass(frozen=True)
-class LitImage:
-    """An image as it is read."""
-
-    frame: JudgedFrame
-    """The image as it came."""
-    levels: np.ndarray
-    """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid, where
-    dots are as the gel around them."""
-    light: LightDrift
-    """Its own light against the untouched sensor's."""
-    still: LightDrift
-    """The same if nothing touches: a contact takes part of a gradient of the light."""
-    around: np.ndarray | None = None
-    """Blocks (``blocks``) that a coarse look takes for touched, with those beside them, bool, which
-    are read pixel by pixel; None for all."""
-    rest: RestingPart | None = None
-    """The part that heights are counted from; None where it is the whole border."""
-    seen: ReadHeights | GreyDepths | None = None
-    """What a coarse look saw of an image that shows no touch: there is no more to be read."""
-    remark: str = ""
-    """Which common change of all channels was taken off; empty where there was none."""
 
 
 class Reader:
@@ -118,10 +96,11 @@ class Reader:
         self._bare = self.background
         if self.judge.dots is not None:
             self._bare = self._day.remove(self.judge.bare).astype(np.float32)
+        blur_px = 0.0 if self.normal_model is None else self.normal_model.config.blur_px
         self.no_press, self._pressure = "", None
         """Why no pressure is read, a sentence."""
         try:
-            self._pressure = PressureReader(profile, self.grid, self.rest)
+            self._pressure = PressureReader(profile, self.grid, self.rest, blur_px)
         except InputError as error:
             self.no_press = str(error)
         self.clock = StageClock()
@@ -205,12 +184,13 @@ class Reader:
             )
         return found
 
-    def lit(self, image: np.ndarray | JudgedFrame) -> LitImage:
+    def lit(self, image: np.ndarray | JudgedFrame, *, dirty: bool = True) -> LitImage:
         """An image in the profile's light: gain, offset and gradient of each channel against the
         untouched sensor are taken off.
 
         The first look takes a contact for an outlier. Where it finds one, the gel has sunk beside
-        it, and its light is fitted as that of a press.
+        it, and its light is fitted as that of a press. Where it finds specks, which is not asked of
+        what is not ``dirty``, they are taken off.
         """
         self.clock.begin("light")
         frame = self.judge.frame(image) if isinstance(image, np.ndarray) else image
@@ -227,6 +207,13 @@ class Reader:
         first = shown(even.still)
         self.clock.begin("touch")
         dented, around, rest, seen = self._look(first)
+        if dirty and around is not None and around.any():
+            factor, pixel_mm = None if common is None else common.factor, self.grid.mm_per_px_x
+            thick_mm = self.profile.gel.thickness_mm
+            specks = colour_specks(first.levels, self._bare, factor, around, pixel_mm, thick_mm)
+            if specks is not None:
+                clean = self.lit(frame.without(specks), dirty=False)
+                return replace(clean, dirt=about_specks(specks, pixel_mm))
         if not dented:
             return replace(first, around=around, seen=seen)
         self.clock.begin("light")
@@ -403,7 +390,12 @@ class Reader:
     ) -> Reading:
         rest = lit.rest
         pressed = None if rest is None else _on_pixels(rest.pressed, rise_m.shape)
-        remarks = (lit.remark, "" if rest is None else rest.remark, by_method.pop("said", ""))
+        remarks = (
+            lit.remark,
+            lit.dirt,
+            "" if rest is None else rest.remark,
+            by_method.pop("said", ""),
+        )
         return Reading(
             grid=self.grid,
             image=lit.frame.image,

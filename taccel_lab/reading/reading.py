@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -15,9 +16,9 @@ from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
-from taccel_lab.reading.pressure import ContactPressure
+from taccel_lab.reading.contact_pressure import ContactPressure
 from taccel_lab.reading.reading_picture import draw_maps
-from taccel_lab.reading.touch import Touch
+from taccel_lab.reading.touch import Touch, least_logs
 from taccel_lab.report.style import save_figure
 from taccel_lab.summary import Summary
 from taccel_lab.with_error import NORMAL_95, with_error
@@ -123,7 +124,9 @@ class Reading(Summary):
         if not self.touch.any:
             return 0.0, self.touch.unseen_mm
         depth, off = self.depth_mm, NORMAL_95 * error
-        return max(depth - off, 0.0), depth + off
+        assert self.reading_sigma_m is not None
+        alone = 1e3 * float(self.reading_sigma_m[self.deepest_px])
+        return depth * math.exp(-math.hypot(*least_logs(depth, error, alone))), depth + off
 
     @property
     def force_n(self) -> float:

@@ -8,14 +8,16 @@ any contact; all around it that is deeper than errors in 95 % of images belongs 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.heights import BAND_SIGMAS
+from taccel_lab.with_error import NORMAL_95
 
-CONTACT_MM = 0.05
+CONTACT_MM = 0.02
 CONTACT_SHARE = 0.1
 """Pixels pressed deeper than this and than this share of the deepest one may count as touched."""
 FLAT_SHARE = 0.3
@@ -24,6 +26,8 @@ SURE_SIGMAS = 3.0
 """Standard deviations by which a place is surely deeper. Of the many places of an image that may
 err by themselves, one in four images has one beyond 2 standard deviations, one in forty beyond
 3."""
+CHOSEN_SIGMAS = 3.5
+"""The same of the deepest place of an image, which may otherwise be 0 deep: one of 200."""
 LEAST_MM2 = 0.05
 """Area of the smallest spot that is surely deeper: a ball of 1 mm, 0.02 mm deep, touches more."""
 
@@ -90,6 +94,24 @@ def touch_of(
         touched = np.bincount(parts[pixels], minlength=int(parts.max()) + 1) > 0
         most_mm2 = float(touched[parts].sum()) * grid.mm_per_px_x * grid.mm_per_px_y
     return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM), most_mm2)
+
+
+def least_logs(depth: float, sigma: float, alone: float) -> tuple[float, float]:
+    """Logarithms of the factors that a depth may be lower by with 95 %, by what is added to it and
+    by what grows with it; endless where it may be 0.
+
+    What else is off than the reading and the light (circles, scale, the gel beside a wide tool)
+    grows with the depth: it makes no touch of none, and none of a touch.
+
+    Args:
+        depth: Of the deepest place.
+        sigma: Its standard deviation, in the same unit.
+        alone: The part of it by the reading and the light, which adds.
+    """
+    if depth <= CHOSEN_SIGMAS * alone:
+        return math.inf, 0.0
+    shared = math.sqrt(max(sigma**2 - alone**2, 0.0))
+    return -math.log(1.0 - NORMAL_95 * alone / depth), NORMAL_95 * shared / depth
 
 
 def likely_touched(rise_m: np.ndarray, sigma_m: np.ndarray | None, beside: int) -> np.ndarray:

@@ -29,6 +29,11 @@ class _Face:
 
 
 def image_of_heights(profile: SensorProfile, height_m: np.ndarray) -> np.ndarray:
+    """``levels_of_heights`` as a camera gives them, uint8; arguments and errors are the same."""
+    return eight_bit(levels_of_heights(profile, height_m))
+
+
+def levels_of_heights(profile: SensorProfile, height_m: np.ndarray) -> np.ndarray:
     """Render what the sensor sees of a surface; its markers stay where they rest.
 
     Args:
@@ -37,7 +42,7 @@ def image_of_heights(profile: SensorProfile, height_m: np.ndarray) -> np.ndarray
             is none, which shows the background.
 
     Returns:
-        RGB, uint8, [height_px, width_px, 3].
+        RGB levels, float, [height_px, width_px, 3].
 
     Raises:
         InputError: A profile without these blocks, a map of another size, or heights that go past
@@ -66,8 +71,8 @@ def image_of_heights(profile: SensorProfile, height_m: np.ndarray) -> np.ndarray
         response = DepthResponse.from_profile(profile)
         assert response is not None
         depth_mm = np.where(np.isfinite(rise_m), -1e3 * rise_m, 0.0)
-        return eight_bit(response.render(depth_mm, profile.background_rgb))
+        return response.render(depth_mm, profile.background_rgb)
     # The rest's own slopes: what has not moved shows the background exactly.
     slope = slopes_from_height(rise_m, grid) + rest.samples()[..., :2]
     face = _Face(height_m, rest.height_m, normals_from_slopes(slope), rest.normals)
-    return eight_bit(tactile_image(model, profile.background_rgb, face))
+    return tactile_image(model, profile.background_rgb, face)

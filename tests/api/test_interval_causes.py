@@ -66,6 +66,12 @@ def same(half: float) -> Ends:
     return half, half
 
 
+def of_a_factor(sigma_mm: float) -> Ends:
+    """Half widths [mm] of what makes no touch of none: below, a factor."""
+    off = NORMAL_95 * sigma_mm
+    return DEPTH_MM * (1 - math.exp(-off / DEPTH_MM)), off
+
+
 def layer_n(thickness_mm: float = THICK_MM, nu: float = NU) -> float:
     """Force of the ball on another layer."""
     return float(layer_force_n("sphere", np.array(DEPTH_MM), BALL_MM, thickness_mm, nu, PA))
@@ -135,15 +141,15 @@ READ: dict[tuple[str, str], Row] = {
         lambda k: curve(reading_sigma_mm=0.02 * k), lambda k: same(NORMAL_95 * 0.02 * k), 0.01
     ),
     ("depth", "zero"): Row(
-        lambda k: curve(zero_sigma_mm=0.03 * k), lambda k: same(NORMAL_95 * 0.03 * k), 0.01
+        lambda k: curve(zero_sigma_mm=0.03 * k), lambda k: of_a_factor(0.03 * k), 0.01
     ),
     ("depth", "share"): Row(
-        lambda k: curve(depth_share=0.04 * k), lambda k: same(NORMAL_95 * 0.04 * k * DEPTH_MM), 0.01
+        lambda k: curve(depth_share=0.04 * k), lambda k: of_a_factor(0.04 * k * DEPTH_MM), 0.01
     ),
     # Pressures of a layer are in proportion to its face.
     ("force", "depth's share"): Row(
         lambda k: curve(depth_share=0.04 * k),
-        lambda k: logs(1 - NORMAL_95 * 0.04 * k, 1 + NORMAL_95 * 0.04 * k),
+        lambda k: (NORMAL_95 * 0.04 * k, math.log(1 + NORMAL_95 * 0.04 * k)),
         0.2,
     ),
     ("force", "Poisson's ratio"): Row(

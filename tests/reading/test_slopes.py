@@ -152,7 +152,9 @@ def test_deviations_of_heights_hold_each_cause_by_its_size():
         return read_heights(model, image, still, PixelGrid(48, 36, 0.08, 0.05))
 
     alone, twice, leaning, steep = read(), read(reading=2.0), read(along=0.5), read(along=1.0)
-    assert alone.sigma_m == pytest.approx(alone.reading_sigma_m, rel=1e-12)
+    # At rest less, by one factor.
+    quiet = alone.reading_sigma_m / alone.sigma_m
+    assert np.ptp(quiet) < 1e-9 and 0.0 < quiet.max() <= 1.0
     np.testing.assert_allclose(twice.reading_sigma_m, 2 * alone.reading_sigma_m)
     grown = (found.sigma_m**2 - alone.sigma_m**2 for found in (leaning, steep))
     np.testing.assert_allclose(4 * next(grown), next(grown), atol=1e-18)
