@@ -24,7 +24,8 @@ from taccel_lab.calibration.normals.small_network_fit import Lesson, taught
 from taccel_lab.calibration.press_options import InverseFitOptions
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.reading.features import color_change, image_features
+from taccel_lab.reading.blocks import finest_px
+from taccel_lab.reading.features import color_change, image_features, of_blocks
 from taccel_lab.reading.heights import read_heights
 from taccel_lab.reading.network_answers import network
 from taccel_lab.reading.slope_integration import resting_height
@@ -157,13 +158,16 @@ def presses(grid: PixelGrid, count: int) -> tuple[np.ndarray, np.ndarray, np.nda
 def heights_mm(
     model: NormalModel, image: np.ndarray, light: np.ndarray, grid: PixelGrid
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Heights of one image, by blocks and by every pixel alone [mm]."""
-    read = read_heights(model, image, light, grid, uncertainty=False)
+    """Heights of one image [mm], by blocks and by every pixel alone, of the smallest blocks."""
+    every = finest_px(grid)
+    read = read_heights(model, image, light, grid, uncertainty=False, every=every)
     features = image_features(model.config, color_change(image, light), light)
     tilt, error = model.predict_pixels(features.reshape(-1, model.config.input_count))
-    tilt, error = tilt.reshape(*read.slope.shape), error.reshape(read.rise_m.shape)
+    tilt, error = tilt.reshape(*image.shape[:2], 2), error.reshape(image.shape[:2])
     alone = NormalMap(relative_normals(tilt), tilt, error, error)
-    rise_m = resting_height(alone.slopes(), grid, zero=read.zero)
+    zero = read.zero.repeat(every, axis=0).repeat(every, axis=1)
+    zero = zero[: grid.height_px, : grid.width_px]
+    rise_m = of_blocks(resting_height(alone.slopes(), grid, zero=zero), every)
     return 1e3 * read.rise_m, 1e3 * rise_m
 
 
@@ -187,7 +191,9 @@ def measure(size: tuple[int, int], count: int, device: str, repeats: int) -> dic
         ways["of page-locked memory"] = given.pin_memory(), True
         ways["of the device"] = given.to(device), True
     for name, (shown, uncertainty) in ways.items():
-        work = partial(read_heights, model, shown, light, grid, uncertainty=uncertainty)
+        work = partial(
+            read_heights, model, shown, light, grid, uncertainty=uncertainty, every=finest_px(grid)
+        )
         figures = spread(seconds_of(work, device, repeats))
         row[name] = {**figures, "images_per_s": count / figures["median"]}
     if count == 1 and device == "cpu":

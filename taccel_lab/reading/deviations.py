@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.blocks import LARGEST_PX
+from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.room import once
 from taccel_lab.reading.slope_integration import border_of, height_from_slopes, plane_of
@@ -144,9 +144,7 @@ class LightErrors:
         """
         from taccel_lab.reading.light import LightDrift
 
-        self.every = every = LARGEST_PX
-        self._part = np.s_[::every, ::every]
-        self._size = background.shape[1::-1]
+        every = LARGEST_PX
         self._level = background.reshape(-1, 3).mean(axis=0)
         terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
         rest = 0.0
@@ -161,7 +159,7 @@ class LightErrors:
                 image = background.astype(np.float32)
                 image[..., channel] += probe * term[..., channel]
                 read = model.predict(
-                    image, background, mask=mask, rest_normals=rest_normals, coarse=True
+                    image, background, mask=mask, rest_normals=rest_normals, every=every
                 )
                 slopes[channel, k] = (read.slopes() + rest) / probe
         weights = None if mask is None else of_blocks(mask, every)
@@ -169,32 +167,30 @@ class LightErrors:
         self._border = border_of((thinned.height_px, thinned.width_px), self._heights)
 
     def sigma_m(
-        self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
+        self, lights: Sequence[LightDrift], zero: np.ndarray, every: int
     ) -> list[np.ndarray]:
-        """Standard deviations of the heights [m] for each light of one image, [height, width].
+        """Standard deviations of the heights [m] for each light of one image, [h, w].
 
         Args:
             lights: Of the image against the background.
-            zero: Pixels that its heights are counted from, as of ``ReadHeights``.
-            every: Rows and columns apart that these are of: 1, or ``self.every``.
+            zero: Blocks that its heights are counted from, as of ``ReadHeights``, [h, w].
+            every: Pixels along these blocks, at most ``LARGEST_PX``.
         """
-        import cv2
-
-        at_rest = self._border
-        if zero is not None:
-            part = tensor_of(zero if every > 1 else zero[self._part])
-            at_rest = part if part.any() else at_rest
+        times = LARGEST_PX // every
+        at_rest = tensor_of(zero[::times, ::times])
+        at_rest = at_rest if at_rest.any() else self._border
         heights = (self._heights - plane_of(self._heights, at_rest)).flatten(-2).numpy()
         found = []
         for light in lights:
             products = light.covariance_at(self._level) @ heights
             variance = np.einsum("ckp,ckp->p", heights, products)
             sigma = np.sqrt(np.maximum(variance, 0.0), dtype=np.float32)
-            sigma = sigma.reshape(self._border.shape)
-            if every == 1:
-                sigma = cv2.resize(sigma, self._size, interpolation=cv2.INTER_LINEAR)
-            found.append(sigma)
-        return found
+            found.append(sigma.reshape(self._border.shape))
+        if times == 1:
+            return found
+        lines = enlarged(tensor_of(np.stack(found)), times)[..., : zero.shape[0], : zero.shape[1]]
+        # Lines that go on beyond the outermost blocks may fall below any deviation there is.
+        return [np.maximum(one, low.min()) for one, low in zip(lines.numpy(), found, strict=True)]
 
 
 def together(one: np.ndarray, other: np.ndarray) -> np.ndarray:

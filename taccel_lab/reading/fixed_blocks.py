@@ -231,19 +231,24 @@ def _paint_blocks_kernel(
     twos: wp.array4d(dtype=float),
     ones: wp.array4d(dtype=float),
     parts: wp.array2d(dtype=wp.vec4i),
+    every: int,
     found: wp.array4d(dtype=float),
 ):
     image, row, column = wp.tid()
     fine, fair = parts[1, image], parts[0, image]
-    if _inside(row, column, 1, parts[2, image]):
+    two, four, eight = 2 // every, 4 // every, 8 // every
+    pixels = wp.vec4i(0, 0, 0, 0)
+    if parts.shape[0] > 2:
+        pixels = parts[2, image]
+    if _inside(row, column, 1, pixels):
         _write(found, image, row, column, _read(ones, image, row, column))
-    elif _inside(row, column, 2, fine):
-        _write(found, image, row, column, _between(twos, image, row, column, 2.0, fine))
-    elif _inside(row, column, 4, fair):
-        _write(found, image, row, column, _between(fours, image, row, column, 4.0, fair))
+    elif _inside(row, column, two, fine):
+        _write(found, image, row, column, _between(twos, image, row, column, float(two), fine))
+    elif _inside(row, column, four, fair):
+        _write(found, image, row, column, _between(fours, image, row, column, float(four), fair))
     else:
         whole = wp.vec4i(0, eights.shape[2], 0, eights.shape[3])
-        _write(found, image, row, column, _between(eights, image, row, column, 8.0, whole))
+        _write(found, image, row, column, _between(eights, image, row, column, float(eight), whole))
 
 
 def textures(fine: torch.Tensor, coarse: torch.Tensor, before: torch.Tensor | None) -> torch.Tensor:
@@ -308,16 +313,17 @@ def finer_maps(
 
 
 def painted_parts(
-    maps: Sequence[torch.Tensor], spans: torch.Tensor, shape: tuple[int, int]
+    maps: Sequence[torch.Tensor], spans: torch.Tensor, shape: tuple[int, int], every: int
 ) -> torch.Tensor:
-    """What is read of every pixel (``blocks.painted``), of maps of whole images by blocks of 8, 4,
-    2 and 1 px, of which each smaller size counts around the ``spans`` of flags alone."""
+    """``blocks.painted``, of maps of whole images by blocks of 8, 4, 2 and perhaps 1 px, of which
+    each smaller size counts around the ``spans`` of flags alone."""
     values, images = maps[0].shape[:2]
     found = torch.empty((values, images, *shape), device=spans.device)
+    none = [found.new_empty((0, 0, 0, 0))] * (4 - len(maps))
     parts = vectors(torch.empty_like(spans), wp.vec4i)
     sizes = vectors(_sizes(tuple(each.shape[2:] for each in maps), spans.device), wp.vec2i)
     launch(_part_kernel, tuple(spans.shape[:2]), [spans, sizes, parts])
-    launch(_paint_blocks_kernel, (images, *shape), [*maps, parts, found])
+    launch(_paint_blocks_kernel, (images, *shape), [*maps, *none, parts, every, found])
     return found
 
 

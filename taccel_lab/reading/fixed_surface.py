@@ -67,51 +67,17 @@ def _slope_of_normal_maps_kernel(
 
 
 @wp.func
-def _weight(i: int, count: int) -> wp.float64:
-    """Weight of a pixel in a cell of four, of which there are so many: means of means of two."""
-    if count == 3 and i == 2:
-        return wp.float64(0.5)
-    if count == 3:
-        return wp.float64(0.25)
-    return wp.float64(1.0) / wp.float64(count)
-
-
-@wp.kernel(enable_backward=False)
-def _cell_slope_kernel(slopes: wp.array4d(dtype=float), means: wp.array4d(dtype=wp.float64)):
-    image, row, column = wp.tid()
-    high = wp.min(4, slopes.shape[1] - 4 * row)
-    wide = wp.min(4, slopes.shape[2] - 4 * column)
-    first, second = wp.float64(0.0), wp.float64(0.0)
-    for i in range(high):
-        for j in range(wide):
-            weight = _weight(i, high) * _weight(j, wide)
-            first += weight * wp.float64(slopes[image, 4 * row + i, 4 * column + j, 0])
-            second += weight * wp.float64(slopes[image, 4 * row + i, 4 * column + j, 1])
-    means[image, row, column, 0] = first
-    means[image, row, column, 1] = second
-
-
-@wp.func
-def _left_out(
-    height: wp.array3d(dtype=wp.float64),
-    slopes: wp.array4d(dtype=float),
-    image: int,
-    row: int,
-    column: int,
-    axis: int,
-    per_m: wp.float64,
+def _on_edge(
+    slopes: wp.array4d(dtype=float), image: int, row: int, column: int, axis: int
 ) -> wp.float64:
-    """Slope along the edge to the next pixel of an axis, less that of the heights, by a step."""
-    low, right = row + axis, column + 1 - axis
+    """Slope along the edge to the next pixel of an axis."""
     one = wp.float64(slopes[image, row, column, axis])
-    other = wp.float64(slopes[image, low, right, axis])
-    rise = height[image, low, right] - height[image, row, column]
-    return (wp.float64(0.5) * (one + other) - rise * per_m) * per_m
+    other = wp.float64(slopes[image, row + axis, column + 1 - axis, axis])
+    return wp.float64(0.5) * (one + other)
 
 
 @wp.kernel(enable_backward=False)
-def _detail_kernel(
-    height: wp.array3d(dtype=wp.float64),
+def _divergence_kernel(
     slopes: wp.array4d(dtype=float),
     per_x: wp.float64,
     per_y: wp.float64,
@@ -119,35 +85,15 @@ def _detail_kernel(
 ):
     image, row, column = wp.tid()
     total = wp.float64(0.0)
-    if column + 1 < height.shape[2]:
-        total += _left_out(height, slopes, image, row, column, 0, per_x)
+    if column + 1 < found.shape[2]:
+        total += _on_edge(slopes, image, row, column, 0) * per_x
     if column > 0:
-        total -= _left_out(height, slopes, image, row, column - 1, 0, per_x)
-    if row + 1 < height.shape[1]:
-        total += _left_out(height, slopes, image, row, column, 1, per_y)
+        total -= _on_edge(slopes, image, row, column - 1, 0) * per_x
+    if row + 1 < found.shape[1]:
+        total += _on_edge(slopes, image, row, column, 1) * per_y
     if row > 0:
-        total -= _left_out(height, slopes, image, row - 1, column, 1, per_y)
+        total -= _on_edge(slopes, image, row - 1, column, 1) * per_y
     found[image, row, column] = total
-
-
-@wp.kernel(enable_backward=False)
-def _rise_map_kernel(
-    height: wp.array3d(dtype=wp.float64),
-    detail: wp.array3d(dtype=wp.float64),
-    level: wp.array(dtype=wp.float64),
-    plane: wp.array3d(dtype=wp.float64),
-    share: wp.float64,
-    found: wp.array3d(dtype=wp.float64),
-):
-    image, row, column = wp.tid()
-    half = wp.float64(0.5)
-    down = (wp.float64(row) + half) * share - half
-    across = (wp.float64(column) + half) * share - half
-    corner = plane[image, 0, 0]
-    tilted = corner + down * (plane[image, 1, 0] - corner)
-    tilted += across * (plane[image, 0, 1] - corner)
-    rise = height[image, row, column] + detail[image, row, column]
-    found[image, row, column] = rise - level[image] - tilted
 
 
 @wp.kernel(enable_backward=False)
@@ -198,36 +144,11 @@ def slopes_of(normals: torch.Tensor, steepest_rad: float) -> torch.Tensor:
     return found
 
 
-def cell_slopes(slopes: torch.Tensor) -> torch.Tensor:
-    """Means of slopes [image, h, w, 2] over cells of 4 px, float64."""
-    images, height, width, _ = slopes.shape
-    size = images, -(-height // 4), -(-width // 4)
-    found = torch.empty((*size, 2), dtype=torch.float64, device=slopes.device)
-    launch(_cell_slope_kernel, size, [slopes, found])
-    return found
-
-
-def detail_divergence(
-    height: torch.Tensor, slopes: torch.Tensor, steps_m: tuple[float, float]
-) -> torch.Tensor:
-    """Divergence [1/m] of what slopes [image, h, w, 2] say besides heights [m] [image, h, w]."""
-    found = torch.empty_like(height)
-    per_m = [1.0 / step for step in steps_m]
-    launch(_detail_kernel, tuple(height.shape), [height, slopes, *per_m, found])
-    return found
-
-
-def rise_of(
-    height: torch.Tensor,
-    detail: torch.Tensor,
-    level: torch.Tensor,
-    plane: torch.Tensor,
-    cell_px: int,
-) -> torch.Tensor:
-    """Heights [m] with detail, less its ``level`` [image], over a plane that cells show."""
-    found = torch.empty_like(height)
-    given = [height, detail, level, plane, 1.0 / cell_px, found]
-    launch(_rise_map_kernel, tuple(height.shape), given)
+def divergence_of(slopes: torch.Tensor, steps_m: tuple[float, float]) -> torch.Tensor:
+    """Divergence [1/m] of slopes along the edges of pixels, float32, [image, h, w, 2]."""
+    size = tuple(slopes.shape[:3])
+    found = torch.empty(size, dtype=torch.float64, device=slopes.device)
+    launch(_divergence_kernel, size, [slopes, *(1.0 / step for step in steps_m), found])
     return found
 
 

@@ -11,19 +11,11 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.reading.blocks import LARGEST_PX, enlarged
 from taccel_lab.reading.deviations import HeightUncertainty
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.room import room
-from taccel_lab.reading.slope_integration import (
-    border_mean,
-    height_from_slopes,
-    plane_of,
-    solve_poisson,
-    with_detail,
-)
+from taccel_lab.reading.slope_integration import resting_height
 from taccel_lab.reading.slopes import NormalMap, NormalModel
-from taccel_lab.reading.windows import halved
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
@@ -31,8 +23,9 @@ if TYPE_CHECKING:
 
 BAND_SIGMAS = 2.0
 """Standard deviations within which 95 % of the heights lie."""
-CELL_PX = 4
-"""Pixels along the cells that heights of whole images are integrated by."""
+SOLVED_TO = 1e-4
+"""Residual of the slopes' equation where some pixels are masked: heights are off by 2e-5 of the
+deepest one at most."""
 FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0
@@ -75,7 +68,7 @@ def read_heights(
     uncertainty: bool = True,
     around: np.ndarray | None = None,
     resting: np.ndarray | None = None,
-    coarse: bool = False,
+    every: int = 1,
 ) -> ReadHeights[Array]:
     """Read an image, or several at once, on the model's device.
 
@@ -89,16 +82,15 @@ def read_heights(
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
         uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
-        around: Blocks that smaller ones may be read in (``NormalModel.predict``), and that heights
-            are integrated pixel by pixel in.
+        around: Blocks that smaller ones may be read in (``NormalModel.predict``).
         resting: Blocks of ``LARGEST_PX`` pixels that heights may be counted from, bool; all when
             None.
-        coarse: Whether blocks of ``LARGEST_PX`` pixels are all that is read and integrated; the
-            maps are of these, on ``grid.thinned(LARGEST_PX)``.
+        every: Pixels along the smallest blocks that are read and integrated, which the maps are of,
+            on ``grid.thinned(every)``: 1, 2, or ``LARGEST_PX``.
     """
     import torch
 
-    options = _Options(model, grid, left_out, uncertainty, coarse)
+    options = _Options(model, grid, left_out, uncertainty, every)
     given = mask, rest_normals, around, resting
     if model.device == "cpu" and image.ndim > 3 and len(image) and room() is None:
         # Sums and products round by how much there is at once, which saves no time here.
@@ -112,9 +104,6 @@ def read_heights(
     return _joined([found], lambda parts: as_given(parts[0], image))
 
 
-Sloped = tuple[NormalMap["torch.Tensor"], "torch.Tensor", "torch.Tensor"]
-
-
 @dataclass(frozen=True)
 class _Options:
     """How images are read (``read_heights``)."""
@@ -123,14 +112,9 @@ class _Options:
     grid: PixelGrid
     left_out: int | None
     uncertainty: bool
-    coarse: bool
+    every: int
 
-    def read(self, *inputs: Any) -> ReadHeights[torch.Tensor]:
-        """Read images of the model's device, all at once; inputs as of ``sloped``."""
-        _, _, mask, _, around, _ = inputs
-        return self.integrated(self.sloped(*inputs), mask, around)
-
-    def sloped(
+    def read(
         self,
         image: torch.Tensor,
         background: Any,
@@ -138,40 +122,26 @@ class _Options:
         rest_normals: Any,
         around: Any,
         resting: Any,
-    ) -> Sloped:
-        """Normals, slopes from rest, and cells at rest."""
+    ) -> ReadHeights[torch.Tensor]:
+        """Read images of the model's device, all at once."""
         found = self.model.predict(
             image, background, mask=mask, rest_normals=rest_normals, left_out=self.left_out,
-            around=around, coarse=self.coarse,
+            around=around, every=self.every,
         )  # fmt: skip
         slope = found.slopes()
         if rest_normals is not None:
             # The change of height from rest is integrated: a curved gel's rest is known already.
-            rest = tensor_of(of_blocks(rest_normals, self._every), like=slope)
+            rest = tensor_of(of_blocks(rest_normals, self.every), like=slope)
             slope = slope + rest[..., :2] / rest[..., 2:]
-        step = 1 if self.coarse else CELL_PX
-        return found, slope, resting_border(found, self._thinned(mask), step, resting)
-
-    def integrated(self, seen: Sloped, mask: Any, around: Any) -> ReadHeights[torch.Tensor]:
-        """Heights of what was seen, and their deviations."""
-        (found, slope, zero), mask = seen, self._thinned(mask)
-        step, grid = 1 if self.coarse else CELL_PX, self.grid.thinned(self._every)
-        span = None if self.coarse or around is None else _span(around)
-        rise = risen(slope, grid, zero, mask, step, span)
-        zero = zero.repeat_interleave(step, dim=-1).repeat_interleave(step, dim=-2)
-        zero = zero[..., : grid.height_px, : grid.width_px]
+        if mask is not None:
+            mask = of_blocks(mask, self.every) > 0.5
+        grid = self.grid.thinned(self.every)
+        zero = resting_border(found, mask, resting)
+        rise = resting_height(slope, grid, weights=mask, zero=zero, tolerance=SOLVED_TO)
         read = ReadHeights(found, slope, rise, zero, None, None)
         if not self.uncertainty:
             return read
-        return with_deviations(read, self.model.config, grid, mask, self._every)
-
-    @property
-    def _every(self) -> int:
-        """Pixels apart that maps are of."""
-        return LARGEST_PX if self.coarse else 1
-
-    def _thinned(self, mask: Any) -> Any:
-        return None if mask is None else of_blocks(mask, self._every) > 0.5
+        return with_deviations(read, self.model.config, grid, mask, self.every)
 
     def recorded(
         self,
@@ -193,132 +163,23 @@ class _Options:
         masked = None if mask is None else np.packbits(mask).tobytes()
         kinds = (None, torch.float32, torch.bool, None, torch.bool, torch.bool)
         values = (image, background, mask, rest_normals, around, resting)
-        # Which pixels are integrated follows what is touched, and is no part of a recording.
-        parted = around is not None and not self.coarse
-        work = self.sloped if parted else self.read
-        found = replayed(
+        return replayed(
             self.model.recordings,
-            (self.grid, self.left_out, self.uncertainty, self.coarse, masked),
-            lambda inputs: work(*inputs),
+            (self.grid, self.left_out, self.uncertainty, self.every, masked),
+            lambda inputs: self.read(*inputs),
             [v if v is None else tensor_of(v, kind) for v, kind in zip(values, kinds, strict=True)],
             self.model.device,
             lambda found: _joined([found], lambda parts: parts[0].clone()),
         )
-        return self.integrated(found, mask, around) if parted else found
-
-
-def risen(
-    slope: torch.Tensor,
-    grid: PixelGrid,
-    zero: torch.Tensor,
-    mask: np.ndarray | None,
-    cell_px: int,
-    span: tuple[slice, slice] | None,
-) -> torch.Tensor:
-    """Rise [m] of slopes, float64, shape [..., h, w]: integrated over the image by cells, and in a
-    part of it by pixels.
-
-    In what remains slopes are linear across several cells.
-
-    Args:
-        slope: From rest, shape [..., h, w, 2].
-        grid: Pixel grid of the slopes.
-        zero: Cells at rest, bool, shape [..., cells, cells].
-        mask: Pixels that count, bool, shape [h, w]; all when None.
-        cell_px: Pixels along a cell.
-        span: Rows and columns of cells that are integrated by pixels; all when None.
-    """
-    import torch
-
-    if room() is not None and mask is None and cell_px == CELL_PX:
-        return _risen_in_room(slope, grid, zero)
-    kept = None if mask is None else tensor_of(mask, torch.float64, slope)[..., None]
-    slopes = slope.double() if kept is None else slope.double().where(kept > 0, 0.0)
-    means, cover = _cell_means(slopes, cell_px), None
-    if kept is not None:
-        cover = _cell_means(kept, cell_px)
-        means = means / cover.clamp(min=1e-3)
-    weights = None if cover is None else cover[..., 0].clamp(max=1.0)
-    found = height_from_slopes(means, grid.thinned(cell_px), weights=weights, zero=zero)
-    tilted = plane_of(found, zero)
-    if cell_px == 1:
-        return found - tilted
-    whole = enlarged(found, cell_px)[..., : grid.height_px, : grid.width_px].contiguous()
-    tilted = enlarged(tilted, cell_px)[..., : grid.height_px, : grid.width_px]
-    rows, columns = span or (slice(0, found.shape[-2]), slice(0, found.shape[-1]))
-    inside = [
-        slice(part.start * cell_px, min(part.stop * cell_px, count))
-        for part, count in ((rows, grid.height_px), (columns, grid.width_px))
-    ]
-    if min(part.stop - part.start for part in inside) < 2:
-        return whole - tilted
-    part = slopes[..., inside[0], inside[1], :]
-    small = grid.resized(*(each.stop - each.start for each in reversed(inside)))
-    small = replace(small, mm_per_px_x=grid.mm_per_px_x, mm_per_px_y=grid.mm_per_px_y)
-    trust = None if kept is None else kept[inside[0], inside[1], 0]
-    before = whole[..., inside[0], inside[1]]
-    before.copy_(with_detail(before, part, small, trust))
-    return whole - tilted
-
-
-def _risen_in_room(slope: torch.Tensor, grid: PixelGrid, zero: torch.Tensor) -> torch.Tensor:
-    """``risen`` of slopes that all count, in all pixels."""
-    from taccel_lab.reading.fixed_surface import cell_slopes, detail_divergence, rise_of
-
-    slopes = slope.reshape(-1, *slope.shape[-3:])
-    zero = zero.reshape(-1, *zero.shape[-2:])
-    found = height_from_slopes(cell_slopes(slopes), grid.thinned(CELL_PX), zero=zero)
-    whole = enlarged(found, CELL_PX)[..., : grid.height_px, : grid.width_px].contiguous()
-    steps_m = grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3
-    detail = solve_poisson(detail_divergence(whole, slopes, steps_m), steps_m)
-    rise = rise_of(whole, detail, border_mean(detail), plane_of(found, zero), CELL_PX)
-    return rise.reshape(slope.shape[:-1])
-
-
-def _span(around: np.ndarray | None) -> tuple[slice, slice] | None:
-    """Rows and columns of cells that hold all of these blocks; none of none."""
-    if around is None:
-        return None
-    spans = []
-    for axis in (1, 0):
-        at = np.flatnonzero(around.any(axis=axis))
-        first, last = (int(at[0]), int(at[-1]) + 1) if len(at) else (0, 0)
-        cells = LARGEST_PX // CELL_PX
-        spans.append(slice(cells * first, cells * last))
-    return spans[0], spans[1]
-
-
-def _cell_means(values: torch.Tensor, cell_px: int) -> torch.Tensor:
-    """Means over cells of a power of 2 of pixels, of maps [..., h, w, n]."""
-    while cell_px > 1:
-        values, cell_px = halved(halved(values, -3), -2), cell_px // 2
-    return values
 
 
 def _joined(parts: Sequence[Any], join: Callable[[list[Any]], Any]) -> Any:
     """Readings of several images as one, whose maps ``join`` makes of theirs."""
     first = parts[0]
-    if isinstance(first, tuple):
-        return tuple(_joined(each, join) for each in zip(*parts, strict=True))
     if isinstance(first, (ReadHeights, NormalMap)):
         names = [field.name for field in fields(first)]
         return replace(first, **{n: _joined([getattr(x, n) for x in parts], join) for n in names})
     return None if first is None else join(list(parts))
-
-
-def on_pixels(maps: Sequence[np.ndarray], shape: tuple[int, int]) -> list[np.ndarray]:
-    """Maps of a coarse look, [h, w] or [h, w, n], on all pixels of an image, rows and columns of
-    ``shape``, along lines between the middles of its blocks; float32."""
-    import torch
-
-    planes = [values.reshape(*values.shape[:2], -1) for values in maps]
-    both = torch.from_numpy(np.concatenate(planes, axis=-1, dtype=np.float32)).movedim(-1, 0)
-    lines = enlarged(both.contiguous(), LARGEST_PX)[..., : shape[0], : shape[1]]
-    ends = np.cumsum([plane.shape[-1] for plane in planes])[:-1].tolist()
-    return [
-        (part.movedim(0, -1) if values.ndim == 3 else part[0]).contiguous().numpy()
-        for values, part in zip(maps, lines.tensor_split(ends), strict=True)
-    ]
 
 
 def with_deviations(
@@ -401,23 +262,18 @@ def quiet_factor(
 def resting_border(
     found: NormalMap[torch.Tensor],
     mask: np.ndarray | None = None,
-    cell_px: int = 1,
     resting: Any = None,
 ) -> torch.Tensor:
-    """Cells of the border that are flat in their middle, bool, shape [..., h, w], and the whole
-    border where next to none are; of those in blocks that are ``resting`` (``read_heights``)."""
+    """Places of the border that are flat, bool, shape [..., h, w], and the whole border where next
+    to none are; of those in blocks that are ``resting`` (``read_heights``)."""
     import torch
 
-    middles = (..., slice(cell_px // 2, None, cell_px), slice(cell_px // 2, None, cell_px))
-    count = [-(-size // cell_px) for size in found.sigma_deg.shape[-2:]]
-    tilt_deg = torch.rad2deg(length2(found.tilt_rad[(*middles, slice(None))]))
-    flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg[middles]).clamp(min=FLAT_DEG)
+    flat = torch.rad2deg(length2(found.tilt_rad)) < (FLAT_SIGMAS * found.sigma_deg).clamp(
+        min=FLAT_DEG
+    )
     if mask is not None:
-        flat &= tensor_of(mask, like=flat)[middles]
-    # The middle of a cell that the image cuts off may lie beyond it.
-    more = [0, count[1] - flat.shape[-1], 0, count[0] - flat.shape[-2]]
-    flat = torch.nn.functional.pad(flat, more)
-    rows, columns = count
+        flat &= tensor_of(mask, like=flat)
+    rows, columns = flat.shape[-2:]
     depth = max(2, min(rows, columns) // 20)
     flat[..., depth:-depth, depth:-depth] = False
     border = torch.ones_like(flat)

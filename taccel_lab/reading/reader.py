@@ -10,22 +10,24 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.blocks import LARGEST_PX
+from taccel_lab.reading.blocks import LARGEST_PX, finest_px
 from taccel_lab.reading.colour_specks import colour_specks
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
+from taccel_lab.reading.directions import directions_of_blocks, directions_of_heights
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.grey import GreyDepths, about_specks, grey_depths
-from taccel_lab.reading.heights import ReadHeights, on_pixels, read_heights, with_deviations
+from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift
 from taccel_lab.reading.lit_image import LitImage
+from taccel_lab.reading.on_pixels import on_pixels, repeated
 from taccel_lab.reading.pressure import PressureReader
 from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.rest import RestingPart, resting_part
@@ -34,7 +36,6 @@ from taccel_lab.reading.stage_clock import StageClock
 from taccel_lab.reading.touch import likely_touched, touch_of
 from taccel_lab.reading.whose import light_of_background
 from taccel_lab.signals.depth_response import DepthResponse
-from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 Method = Literal["auto", "normals", "depth"]
@@ -160,16 +161,7 @@ class Reader:
         return found
 
     def _credible(self, found: Reading) -> Reading:
-        """The reading; InputError where it is deeper than the gel is thick, or may be, or mostly a
-        guess."""
-        inside = found.touch.pixels
-        if found.beyond_balls is not None and found.touch.any:
-            beyond = float(found.beyond_balls[inside].mean())
-            if beyond > GUESSED_SHARE:
-                raise InputError(
-                    f"{found.name} is read in vain: {beyond:.0%} of what is touched is steeper "
-                    "than any ball that was captured; no depth is given"
-                )
+        """The reading; InputError where it is deeper than the gel is thick, or may be."""
         deepest_mm, gel_mm = 1e3 * float(found.depth_m.max()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
@@ -244,7 +236,7 @@ class Reader:
             sigma_m = _metres(grey.depths.reading_sigma_mm)
             dented = touch_of(grey.depths.height_m, sigma_m, self.grid).any
             return dented, None, None, None if dented else grey
-        found = self._heights(lit, coarse=True)
+        found = self._heights(lit, LARGEST_PX)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
             (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, LARGEST_PX)
@@ -259,10 +251,14 @@ class Reader:
     def _rest_of(self, found: ReadHeights) -> RestingPart | None:
         """The part of an image that its heights are counted from, by a coarse look at it."""
         grid = self.grid.thinned(LARGEST_PX)
-        counted = None if self.mask is None else of_blocks(self.mask, LARGEST_PX) > 0.5
+        counted = self._counted(LARGEST_PX)
         tilt_deg = np.degrees(np.hypot(*np.moveaxis(found.normals.tilt_rad, -1, 0)))
         layer = None if self._pressure is None else self._pressure.layer
         return resting_part(tilt_deg, np.asarray(found.slope), grid, layer, counted)
+
+    def _counted(self, block_px: int) -> np.ndarray | None:
+        """Blocks of so many pixels that count, bool, [h, w]; None for all."""
+        return None if self.mask is None else of_blocks(self.mask, block_px) > 0.5
 
     def surface(self, lit: LitImage, name: str = "image") -> Reading:
         """The surface under an image of ``lit``, without the pressure that holds it."""
@@ -289,11 +285,13 @@ class Reader:
                 self.response, lit.light, self.background, found.depth_mm
             )
             sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, light_m)
+        face_m = self.rest.height_m + found.height_m
         return self._reading(
             lit, name, found.height_m, sigma_m, alone_m,
             method="depth",
             said=grey.remark,
-            normals=normals_from_height(self.rest.height_m + found.height_m, self.grid),
+            touch=touch_of(found.height_m, alone_m, self.grid),
+            directions=partial(directions_of_heights, face_m, self.grid),
             saturated=found.saturated,
         )  # fmt: skip
 
@@ -302,9 +300,7 @@ class Reader:
         thick_mm = self.profile.gel.thickness_mm
         return grey_depths(self.response, lit.levels, self._bare, self.grid, thick_mm, self.mask)
 
-    def _heights(
-        self, lit: LitImage, *, coarse: bool = False, uncertainty: bool = True
-    ) -> ReadHeights:
+    def _heights(self, lit: LitImage, every: int, *, uncertainty: bool = True) -> ReadHeights:
         assert self.normal_model is not None
         return read_heights(
             self.normal_model,
@@ -316,61 +312,52 @@ class Reader:
             around=lit.around,
             resting=None if lit.rest is None else lit.rest.blocks,
             uncertainty=uncertainty,
-            coarse=coarse,
+            every=every,
         )
 
     def _by_normals(self, lit: LitImage, name: str) -> Reading:
         assert self.normal_model is not None
         if isinstance(lit.seen, ReadHeights):
-            return self._untouched(lit, lit.seen, name)
-        found = self._heights(lit, uncertainty=False)
+            self.clock.begin("deviations")
+            return self._of_blocks(lit, lit.seen, name, LARGEST_PX)
+        every = finest_px(self.grid)
+        found = self._heights(lit, every, uncertainty=False)
         self.clock.begin("deviations")
-        found = with_deviations(found, self.normal_model.config, self.grid, self.mask)
-        read = found.normals
-        sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
-        if sigma_m is not None and alone_m is not None:
-            light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
-            sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, still_m)
-        rise_m, rest = found.rise_m, lit.rest
+        thin = self.grid.thinned(every), self._counted(every)
+        found = with_deviations(found, self.normal_model.config, *thin, every)
+        return self._of_blocks(lit, found, name, every)
+
+    def _of_blocks(self, lit: LitImage, seen: ReadHeights, name: str, block_px: int) -> Reading:
+        """The reading of an image by maps of blocks of so many pixels."""
+        assert self.normal_model is not None
+        read, config = seen.normals, self.normal_model.config
+        shape, rest = self.untouched.shape[:2], lit.rest
+        rise_m, sigmas = seen.rise_m, []
+        if seen.sigma_m is not None and seen.reading_sigma_m is not None:
+            lights = self._light_errors.sigma_m([lit.light, lit.still], seen.zero, block_px)
+            known = seen.sigma_m, seen.reading_sigma_m
+            sigmas = [together(one, light_m) for one, light_m in zip(known, lights, strict=True)]
+        pressed = None
         if rest is not None:
             rise_m = rise_m + rest.bulge_m
-            if sigma_m is not None:
-                sigma_m = together(sigma_m, np.full_like(sigma_m, rest.sigma_m))
-        return self._reading(
-            lit, name, rise_m, sigma_m, alone_m,
-            method="normals",
-            normals=read.normals,
-            sigma_deg=read.sigma_deg,
-            radius95_deg=read.radius95_deg,
-            beyond_balls=self._beyond(read.tilt_rad),
-        )  # fmt: skip
-
-    def _untouched(self, lit: LitImage, seen: ReadHeights, name: str) -> Reading:
-        """The reading of an image in which a coarse look saw no touch."""
-        assert self.normal_model is not None
-        self.clock.begin("deviations")
-        read, shape = seen.normals, self.untouched.shape[:2]
-        maps = [seen.rise_m, read.normals, read.sigma_deg]
-        if seen.sigma_m is not None and seen.reading_sigma_m is not None:
-            lights = self._light_errors.sigma_m([lit.light, lit.still], seen.zero, LARGEST_PX)
-            known = seen.sigma_m, seen.reading_sigma_m
-            maps += [together(one, light_m) for one, light_m in zip(known, lights, strict=True)]
-        rise_m, normals, *others = on_pixels(maps, shape)
-        # Lines that go on beyond the outermost blocks may fall below any deviation there is.
-        sigma_deg, *sigmas = (
-            np.maximum(fine, known.min()) for fine, known in zip(others, maps[2:], strict=True)
-        )
-        normals /= np.sqrt(np.einsum("hwc,hwc->hw", normals, normals))[..., None]
+            sigmas[:1] = [together(one, np.full_like(one, rest.sigma_m)) for one in sigmas[:1]]
+            pressed = repeated(rest.pressed, LARGEST_PX // block_px, rise_m.shape)
+        alone_m = sigmas[1] if sigmas else None
+        touch = touch_of(rise_m, alone_m, self.grid.thinned(block_px), pressed)
         beyond = self._beyond(read.tilt_rad)
-        for axis in (0, 1):
-            beyond = np.repeat(beyond, LARGEST_PX, axis=axis)
+        _require_taught(name, beyond[touch.pixels])
+
+        rise_m, *others = on_pixels([rise_m, *sigmas], shape, block_px)
+        # Lines that go on beyond the outermost blocks may fall below any deviation there is.
+        others = [np.maximum(fine, known.min()) for fine, known in zip(others, sigmas, strict=True)]
         return self._reading(
-            lit, name, rise_m.astype(np.float64), *(sigmas or (None, None)),
+            lit, name, rise_m.astype(np.float64), *(others or (None, None)),
+            touch=replace(touch, pixels=repeated(touch.pixels, block_px, shape)),
             method="normals",
-            normals=normals,
-            sigma_deg=sigma_deg,
-            radius95_deg=self.normal_model.config.radius95_sigmas * sigma_deg,
-            beyond_balls=beyond[: shape[0], : shape[1]],
+            directions=partial(
+                directions_of_blocks, read.normals, read.sigma_deg, beyond, shape, block_px,
+                config.radius95_sigmas,
+            ),
         )  # fmt: skip
 
     def _beyond(self, tilt_rad: np.ndarray) -> np.ndarray:
@@ -389,7 +376,6 @@ class Reader:
         **by_method: Any,
     ) -> Reading:
         rest = lit.rest
-        pressed = None if rest is None else _on_pixels(rest.pressed, rise_m.shape)
         remarks = (
             lit.remark,
             lit.dirt,
@@ -405,7 +391,6 @@ class Reader:
             depth_m=-rise_m,
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
-            touch=touch_of(rise_m, alone_m, self.grid, pressed),
             sigma_of=self.sigma_of,
             remarks=(*self.remarks, *(remark for remark in remarks if remark)),
             **by_method,
@@ -421,10 +406,13 @@ class Reader:
         return LightErrors(self.normal_model, self._bare, self.grid, self.mask, self._rest_normals)
 
 
-def _on_pixels(blocks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Flags of the largest blocks on all pixels of an image."""
-    wide = blocks.repeat(LARGEST_PX, axis=0).repeat(LARGEST_PX, axis=1)
-    return wide[: shape[0], : shape[1]]
+def _require_taught(name: str, beyond: np.ndarray) -> None:
+    """InputError where most of what is touched, flags [n], is steeper than any captured ball."""
+    if beyond.size and beyond.mean() > GUESSED_SHARE:
+        raise InputError(
+            f"{name} is read in vain: {beyond.mean():.0%} of what is touched is steeper than any "
+            "ball that was captured; no depth is given"
+        )
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

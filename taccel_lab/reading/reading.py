@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.reading.contact_pressure import ContactPressure
+from taccel_lab.reading.directions import Directions
 from taccel_lab.reading.reading_picture import draw_maps
 from taccel_lab.reading.touch import Touch, least_logs
 from taccel_lab.report.style import save_figure
@@ -79,15 +81,8 @@ class Reading(Summary):
     reading_sigma_m: np.ndarray | None
     """Standard deviation of a place if nothing touches [m], by the reading and the image's light:
     what is off along with a depth, such as the calibration's circles or scale, is not in it."""
-    normals: np.ndarray
-    """Outward unit normals, shape [height_px, width_px, 3]."""
-    sigma_deg: np.ndarray | None = None
-    """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
-    radius95_deg: np.ndarray | None = None
-    """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
-    beyond_balls: np.ndarray | None = None
-    """Pixels that read steeper than any captured ball was, bool: their slopes are what the colour
-    model makes of colours that nobody captured. None of a grey sensor."""
+    directions: Callable[[], Directions]
+    """Finds normals, their deviations, and steep places: not all who want a depth want these."""
     saturated: np.ndarray | None = None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
@@ -102,6 +97,26 @@ class Reading(Summary):
     """Pressure, force and contact; None where no flat layer stands for the gel."""
     no_press: str = ""
     """Why there is none, a sentence."""
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Outward unit normals, shape [height_px, width_px, 3]."""
+        return self._directions.normals
+
+    @property
+    def sigma_deg(self) -> np.ndarray | None:
+        """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
+        return self._directions.sigma_deg
+
+    @property
+    def radius95_deg(self) -> np.ndarray | None:
+        """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
+        return self._directions.radius95_deg
+
+    @property
+    def beyond_balls(self) -> np.ndarray | None:
+        """Pixels that read steeper than any captured ball was, bool; None of a grey sensor."""
+        return self._directions.beyond_balls
 
     @property
     def depth_mm(self) -> float:
@@ -172,6 +187,10 @@ class Reading(Summary):
     def points_mm(self) -> np.ndarray:
         """The same [mm]."""
         return 1e3 * self.points_m
+
+    @cached_property
+    def _directions(self) -> Directions:
+        return self.directions()
 
     @property
     def _press(self) -> ContactPressure:

@@ -64,54 +64,50 @@ def height_from_slopes(
     Raises:
         InputError: Shapes that differ, slopes that are not finite where they count, no pixel left.
     """
+    height = _of_any_mean(tensor_of(slope), grid, weights, tolerance)
+    counted = _counted(zero, height)
+    counts = counted.sum(dim=(-2, -1), keepdim=True)
+    require(counts > 0, lambda: "zero has no pixel; a mean of some is wanted")
+    return as_given(height - map_totals(height * counted) / counts, slope)
+
+
+def _of_any_mean(
+    slopes: torch.Tensor, grid: PixelGrid, weights: Any, tolerance: float
+) -> torch.Tensor:
+    """Heights [m], float64, of slopes, up to a number for each map; the rest as of
+    ``height_from_slopes``."""
     import torch
 
-    shape = (grid.height_px, grid.width_px)
-    slopes = tensor_of(slope, torch.float64)
+    shape, steps = (grid.height_px, grid.width_px), _steps_m(grid)
     if slopes.shape[-3:] != (*shape, 2):
         found = tuple(slopes.shape)
         raise InputError(f"slopes have shape {found}, the pixel grid asks for {(*shape, 2)}")
-    along_x, along_y = slopes[..., 0], slopes[..., 1]
-    trust = None
+    trust, finite = None, slopes.isfinite()
     if weights is not None:
         trust = _checked_weights(tensor_of(weights, torch.float64, slopes), shape)
-        along_x, along_y = (torch.where(trust == 0, 0.0, s) for s in (along_x, along_y))
-    for along in (along_x, along_y):
-        require(
-            along.isfinite(), lambda: "slopes are NaN or infinite; give such pixels the weight 0"
-        )
-    counted = border_of(shape, slopes) if zero is None else tensor_of(zero, torch.bool, slopes)
-    counts = counted.sum(dim=(-2, -1), keepdim=True)
+        slopes = torch.where(trust[..., None] == 0, 0.0, slopes)
+        finite = slopes.isfinite()
+    require(finite, lambda: "slopes are NaN or infinite; give such pixels the weight 0")
+    if room() is not None and trust is None and slopes.dtype == torch.float32:
+        from taccel_lab.reading.fixed_surface import divergence_of
+
+        flow = divergence_of(slopes.reshape(-1, *shape, 2), steps)
+        return solve_poisson(flow, steps).reshape(slopes.shape[:-1])
+    along_x, along_y = slopes.double().unbind(dim=-1)
+    return _solved(_on_edges(along_x, along_y), steps, trust, tolerance)
+
+
+def _counted(zero: Any, height: torch.Tensor) -> torch.Tensor:
+    """Pixels ``zero`` of heights, bool; their border when None."""
+    import torch
+
+    shape = tuple(height.shape[-2:])
+    if zero is None:
+        return border_of((shape[0], shape[1]), height)
+    counted = tensor_of(zero, torch.bool, height)
     if counted.shape[-2:] != shape:
         raise InputError(f"zero has shape {tuple(counted.shape)}; {shape} wanted")
-    require(counts > 0, lambda: "zero has no pixel; a mean of some is wanted")
-    steps = _steps_m(grid)
-    height = _solved(_on_edges(along_x, along_y), steps, trust, tolerance)
-    mean = map_totals(height * counted) / counts
-    return as_given(height - mean, slope)
-
-
-def with_detail(
-    height: torch.Tensor, slope: torch.Tensor, grid: PixelGrid, weights: torch.Tensor | None = None
-) -> torch.Tensor:
-    """Heights [m], shape [..., height_px, width_px], that are right in the large, of a part of an
-    image, with what slopes there say that they leave out: it is solved for by itself, is 0 on
-    average along the part's border, and fades within a few pixels of where it arises. Arguments
-    as of ``height_from_slopes``."""
-    steps = _steps_m(grid)
-    along_x, along_y = _on_edges(slope[..., 0], slope[..., 1])
-    left = (along_x - height.diff(dim=-1) / steps[0], along_y - height.diff(dim=-2) / steps[1])
-    detail = _solved(left, steps, weights, RELATIVE_TOLERANCE)
-    border = border_of((grid.height_px, grid.width_px), detail)
-    return height + detail - map_totals(detail * border) / border.sum()
-
-
-def border_mean(height: torch.Tensor) -> torch.Tensor:
-    """Mean of heights [..., h, w] along the border, shape [...]."""
-    rows, columns = height.shape[-2:]
-    ends = height[..., :: rows - 1, :].sum((-2, -1))
-    sides = height[..., 1:-1, :: columns - 1].sum((-2, -1))
-    return (ends + sides) / (2 * (rows + columns) - 4)
+    return counted
 
 
 def _steps_m(grid: PixelGrid) -> tuple[float, float]:
@@ -172,17 +168,10 @@ def resting_height(
     zero: Any = None,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Array:
-    """``height_from_slopes`` of a surface that lies at rest in the pixels ``zero``: their plane is
-    taken off, too."""
-    import torch
-
-    slopes = tensor_of(slope, torch.float64)
-    height = height_from_slopes(slopes, grid, weights=weights, zero=zero, tolerance=tolerance)
-    if zero is None:
-        at_rest = border_of((grid.height_px, grid.width_px), height)
-    else:
-        at_rest = tensor_of(zero, torch.bool, height)
-    return as_given(height - plane_of(height, at_rest), slope)
+    """``height_from_slopes`` of a surface that lies at rest in the pixels ``zero``: the plane
+    through these is taken off."""
+    height = _of_any_mean(tensor_of(slope), grid, weights, tolerance)
+    return as_given(height - plane_of(height, _counted(zero, height)), slope)
 
 
 def plane_of(height: torch.Tensor, zero: torch.Tensor) -> torch.Tensor:

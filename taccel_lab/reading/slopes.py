@@ -144,10 +144,10 @@ class NormalModel:
         rest_normals: np.ndarray | None = None,
         left_out: int | None = None,
         around: np.ndarray | None = None,
-        coarse: bool = False,
+        every: int = 1,
     ) -> NormalMap[Array]:
-        """Normals of whole images: by blocks of pixels where the surface is smooth, and by pixels
-        where it is not (``blocks``).
+        """Normals of whole images: by large blocks of pixels where the surface is smooth, and by
+        small ones where it is not (``blocks``).
 
         Args:
             image: RGB levels, shape [..., height_px, width_px, 3]; several images are read at once.
@@ -162,8 +162,8 @@ class NormalModel:
                 tell it, as nothing does on a new press.
             around: Blocks of ``LARGEST_PX`` pixels that smaller ones may be read in, bool, shape
                 [ceil(h / LARGEST_PX), ceil(w / LARGEST_PX)]; all when None.
-            coarse: Whether blocks of ``LARGEST_PX`` pixels are all that is read; the maps are of
-                these.
+            every: Pixels along the smallest blocks that are read, which the maps are of: 1, 2, or
+                ``LARGEST_PX``.
         """
         import torch
 
@@ -182,21 +182,22 @@ class NormalModel:
                 return self.networks.answer(blocks, picked, left_out)
 
             near, here = None if around is None else tensor_of(around, like=on), room()
-            if coarse:
+            if every == LARGEST_PX:
                 seen = windows.blocks if here is None else windows.sparse
                 blocks = seen(LARGEST_PX)
                 read = answer(blocks, None).unflatten(1, blocks.shape)
             elif here is None:
-                read = painted(read_in_blocks(windows, answer, _lean_slopes, near), shape[:2])
+                patches = read_in_blocks(windows, answer, _lean_slopes, near, every)
+                read = painted(patches, windows.count(every), every)
             else:
-                read = read_in_room(windows, answer, near, here)
+                read = read_in_room(windows, answer, near, here, every)
             if here is not None:
-                return self._mapped(read, windows, image.shape[:-3], rest_normals, coarse)
+                return self._mapped(read, windows, image.shape[:-3], rest_normals, every)
             # Lines that go on beyond the outermost blocks may fall below any error there is.
             least = self.config.error_factor * MIN_ERROR_RAD
             tilt, error = read[:2].movedim(0, -1), read[2].clamp(min=least)
             if windows.mask is not None:
-                held = windows.cover(LARGEST_PX) > 0 if coarse else windows.mask
+                held = windows.cover(every) > 0
                 tilt = tilt.where(held[..., None], 0.0)
             lead = image.shape[:-3]
             tilt, error = (
@@ -205,11 +206,11 @@ class NormalModel:
             )
             normals = relative_normals(tilt)
             if rest_normals is not None:
-                rest = place_of_blocks(rest_normals, LARGEST_PX if coarse else 1).movedim(0, -1)
+                rest = place_of_blocks(rest_normals, every).movedim(0, -1)
                 normals = rotate_from_z(normals, tensor_of(rest, tilt.dtype, on))
             sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
             if self.config.presses_px:
-                away = _away(self.config, LARGEST_PX if coarse else 1, on.device)
+                away = _away(self.config, every, on.device)
                 lean_deg = torch.rad2deg(length2(tilt)).to(sigma_deg.dtype)
                 sigma_deg = torch.hypot(sigma_deg, away * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
@@ -221,16 +222,16 @@ class NormalModel:
         windows: FeatureWindows,
         lead: Sequence[int],
         rest_normals: Any,
-        coarse: bool,
+        every: int,
     ) -> NormalMap[Any]:
-        """What ``predict`` makes of what is read of every pixel, in one kernel."""
+        """What ``predict`` makes of what is read, in one kernel."""
         from taccel_lab.reading.fixed_surface import normal_maps
 
-        kept, away, config = windows.mask, None, self.config
-        if kept is not None and coarse:
-            kept = windows.cover(LARGEST_PX) > 0
+        kept, away, config = None, None, self.config
+        if windows.mask is not None:
+            kept = windows.cover(every) > 0
         if config.presses_px:
-            away = _away(config, LARGEST_PX if coarse else 1, read.device)
+            away = _away(config, every, read.device)
         numbers = (
             config.error_factor * MIN_ERROR_RAD, MAX_TILT_RAD, math.degrees(1) / RAYLEIGH_MEAN,
             config.radius95_sigmas,
@@ -240,7 +241,7 @@ class NormalModel:
             for values in normal_maps(read, kept, away, numbers)
         ]
         if rest_normals is not None:
-            rest = place_of_blocks(rest_normals, LARGEST_PX if coarse else 1).movedim(0, -1)
+            rest = place_of_blocks(rest_normals, every).movedim(0, -1)
             maps[0] = rotate_from_z(maps[0], tensor_of(rest, read.dtype, read))
         return NormalMap(*maps)
 

@@ -20,6 +20,7 @@ from taccel_lab.api.press_photo import PressPhoto, SeenPress
 from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.directions import Directions
 from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.touch import Touch
 from taccel_lab.report.page import PAGE
@@ -126,10 +127,7 @@ def seen(
         depth_m=1e-3 * dent_mm,
         height_sigma_m=None if sigma_m is None else 2 * sigma_m,
         reading_sigma_m=sigma_m,
-        normals=np.zeros((*x.shape, 3)),
-        sigma_deg=None,
-        radius95_deg=None,
-        beyond_balls=None,
+        directions=lambda: Directions(np.zeros((*x.shape, 3))),
         saturated=None,
         method="normals",
         touch=Touch(dent_mm > 0.05, 0.05, 0.05),

@@ -12,6 +12,7 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.features import FeatureWindows, pixel_place, place_of_blocks
 from taccel_lab.reading.fixed_network import FixedNetwork
 from taccel_lab.reading.heights import ReadHeights, read_heights
@@ -87,7 +88,7 @@ def test_fixed_sizes_read_what_sizes_of_each_image_do(masked: bool):
     found = tries[-1][0]
     assert_alike(found, known)
     # More room changes nothing.
-    room.needs("blocks of 2 px", torch.tensor(0), 10**6, 30000)
+    room.needs("blocks of 4 px", torch.tensor(0), 10**6, 30000)
     more, enough = read(shown)
     assert enough and torch.equal(more.rise_m, found.rise_m)
     assert np.array_equal(np.asarray(more.sigma_m), np.asarray(found.sigma_m))
@@ -105,11 +106,11 @@ def with_small(device: str = "cpu") -> NormalModel:
 def test_a_room_reads_coarsely_as_often_as_it_is_asked():
     """Whatever was left to the ensemble before."""
     (shown, still), room = images(), Room()
-    known = read_heights(with_small(), shown, still, WIDE_GRID, coarse=True)
+    known = read_heights(with_small(), shown, still, WIDE_GRID, every=LARGEST_PX)
     for _ in range(3):
         with room.entered():
             given = torch.from_numpy(shown)
-            found = read_heights(with_small(), given, still, WIDE_GRID, coarse=True)
+            found = read_heights(with_small(), given, still, WIDE_GRID, every=LARGEST_PX)
     assert_alike(found, known)
 
 
@@ -161,7 +162,14 @@ class TestOnGpu:
 
     @pytest.mark.parametrize(
         "options",
-        [{}, {"mask": holes()}, {"coarse": True}, {"resting": UPPER}, {"around": MIDDLE}],
+        [
+            {},
+            {"mask": holes()},
+            {"every": LARGEST_PX},
+            {"every": 2},
+            {"resting": UPPER},
+            {"around": MIDDLE},
+        ],
     )
     @pytest.mark.parametrize("made", [model, with_small])
     def test_a_recording_reads_what_a_cpu_does(self, made, options):

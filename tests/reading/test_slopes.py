@@ -16,7 +16,7 @@ from taccel_lab.benchmarks.kept_reader import unit_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.reading.blocks import tilts_at_rest
+from taccel_lab.reading.blocks import LARGEST_PX, finest_px, tilts_at_rest
 from taccel_lab.reading.features import (
     LEVELS_PER_UNIT,
     Blocks,
@@ -24,6 +24,7 @@ from taccel_lab.reading.features import (
     color_change,
     image_features,
     local_features,
+    of_blocks,
     pixel_place,
 )
 from taccel_lab.reading.heights import read_heights
@@ -95,7 +96,7 @@ def test_a_coarse_look_shows_the_whole_surface_by_blocks():
     rest = np.tile(np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13), (178, 241, 1))
     options = {"mask": (v > 2) | (u > 5), "rest_normals": rest}
     whole = read_heights(model, image, still, WIDE_GRID, **options)
-    coarse = read_heights(model, image, still, WIDE_GRID, coarse=True, **options)
+    coarse = read_heights(model, image, still, WIDE_GRID, every=LARGEST_PX, **options)
     assert coarse.rise_m.shape == coarse.zero.shape == (23, 31)
     known = whole.rise_m[:176, :240].reshape(22, 8, 30, 8).mean(axis=(1, 3))
     off = coarse.rise_m[:22, :30] - known
@@ -191,6 +192,19 @@ def test_blocks_read_what_pixels_read(noise, monkeypatch):
     assert np.ptp(pixels.rise_m) > 0.2e-3
     assert np.abs(read.rise_m - pixels.rise_m).max() < 5e-6
     assert read.sigma_m == pytest.approx(pixels.sigma_m, rel=0.02)
+
+
+def test_small_pixels_are_read_two_by_two():
+    """Where two are 0.08 mm at most: heights are those of single ones to 0.5 % of the deepest."""
+    assert [finest_px(PixelGrid(9, 9, x, y)) for x, y in [(0.04, 0.04), (0.04, 0.05)]] == [2, 1]
+    model = NormalModel(WIDE, random_weights(WIDE, spread=0.25))
+    image, still = dented(4, 1.0)
+    pixels, pairs = (read_heights(model, image, still, WIDE_GRID, every=k) for k in (1, 2))
+    assert pairs.rise_m.shape == pairs.zero.shape == (89, 121)
+    assert pairs.normals.normals.shape == (89, 121, 3)
+    known = of_blocks(pixels.rise_m[:, :240], 2)
+    off = np.abs(pairs.rise_m[:, :120] - known) / np.ptp(known)
+    assert off.max() < 0.01 and off.mean() < 0.002
 
 
 def test_fine_texture_and_masked_borders_are_read_by_pixels():

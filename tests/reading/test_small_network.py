@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from taccel_lab.networks.normal_settings import SMALL, NormalModelConfig, ensemble_of
+from taccel_lab.reading.blocks import LARGEST_PX
 from taccel_lab.reading.room import STEP, Room
 from taccel_lab.reading.slopes import RAYLEIGH_MEAN, NormalModel
 from tests.networks.weights import random_weights
@@ -75,7 +76,7 @@ def test_the_ensemble_reads_what_the_small_network_is_not_sure_of() -> None:
     _, sure = pair(-9.0)
     _, half = pair(-2.0 + np.log(0.5), by_column=3.0)
     wanted, small, found = (
-        model.predict(image, STILL, coarse=True).tilt_rad for model in (alone, sure, half)
+        model.predict(image, STILL, every=LARGEST_PX).tilt_rad for model in (alone, sure, half)
     )
     right = np.arange(WIDTH // 8) >= WIDTH // 16
     assert np.abs(small - wanted)[:, right].max() > 0.05
@@ -104,11 +105,11 @@ def test_a_member_that_did_not_see_a_press_reads_it_alone() -> None:
 def test_a_room_of_fixed_size_reads_the_same() -> None:
     """As a GPU's recorded graph asks for it."""
     _, half = pair(-2.0 + np.log(0.5), by_column=3.0)
-    known = half.predict(dented(), STILL, coarse=True).tilt_rad
+    known = half.predict(dented(), STILL, every=LARGEST_PX).tilt_rad
     here, images = Room(), torch.from_numpy(np.stack([dented()] * 3))
     for _ in range(6):
         with here.entered():
-            found = half.predict(images, STILL, coarse=True).tilt_rad
+            found = half.predict(images, STILL, every=LARGEST_PX).tilt_rad
         if here.enough(here.asked().tolist()):
             break
     assert np.abs(found.numpy() - known).max() < 1e-5
@@ -120,6 +121,6 @@ def test_several_images_are_read_as_each_of_them() -> None:
     _, half = pair(-2.0 + np.log(0.5), by_column=3.0)
     image = dented()
     images = np.stack([image, STILL, image[:, ::-1]])
-    together = half.predict(images, STILL, coarse=True).tilt_rad
+    together = half.predict(images, STILL, every=LARGEST_PX).tilt_rad
     for each, found in zip(images, together, strict=True):
-        assert (half.predict(each, STILL, coarse=True).tilt_rad == found).all()
+        assert (half.predict(each, STILL, every=LARGEST_PX).tilt_rad == found).all()
