@@ -29,16 +29,24 @@ CLEAR_GAIN = 2.0
 ORDERS: tuple[tuple[int, int, int], ...] = tuple(itertools.permutations(range(3)))  # type: ignore[assignment]
 
 
-def in_light_of(image: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """``reference`` in the light of ``image``, levels, shape [h, w, 3]: gain and offset only."""
+def in_light_of(
+    image: np.ndarray, reference: np.ndarray, where: np.ndarray | None = None
+) -> np.ndarray:
+    """``reference`` in the light of ``image``, levels, shape [h, w, 3]: gain and offset only, by
+    all pixels or those of ``where``, bool, shape [h, w]."""
     step = max(1, round((reference.shape[0] * reference.shape[1] / FITTED_PIXELS) ** 0.5))
-    light = fit_light(image[::step, ::step], reference[::step, ::step], gradient=False)
+    mask = None if where is None else where[::step, ::step]
+    light = fit_light(image[::step, ::step], reference[::step, ::step], mask, gradient=False)
     return light.apply(reference)
 
 
-def misfit_levels(image: np.ndarray, reference: np.ndarray) -> float:
-    """Median distance of the colours after the fit [levels]: 1 to 3 for the same gel."""
-    return float(np.median(np.linalg.norm(image - in_light_of(image, reference), axis=-1)))
+def misfit_levels(
+    image: np.ndarray, reference: np.ndarray, where: np.ndarray | None = None
+) -> float:
+    """Median distance of the colours after the fit [levels], by all pixels or those of ``where``:
+    1 to 3 for the same gel."""
+    apart = np.linalg.norm(image - in_light_of(image, reference, where), axis=-1)
+    return float(np.median(apart if where is None else apart[where]))
 
 
 def best_channel_order(

@@ -13,9 +13,9 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.contacts_file import CONTACTS_NAME, override_text
 from taccel_lab.calibration.capture.coverage import coverage_map
 from taccel_lab.calibration.capture.folder import contents_in_words
+from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.check.light import BackgroundCheck
 from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.geometry import PixelGrid

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
+from taccel_lab.calibration.check.picture_figures import PictureFigures
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
@@ -58,6 +59,7 @@ class FrameFigures:
     texture: float
     """How much of the background's fine texture is seen beside the contact: 1 all of it."""
     texture_correlation: float
+    picture: PictureFigures
     rim_px: float
     """Width over which the colour changes at its steepest [px], at the working size of contacts;
     NaN without a contact."""
@@ -113,6 +115,7 @@ def _measure(
     image = press.image()
     small = SmallImage.of(image)
     light = fit.still(small)
+    picture = PictureFigures.of(image, small.levels)
     found = seen_contact(press, background, grid, mask, grey)
     contact = None if isinstance(found, InputError) else found
     circle = contact.circle if contact is not None else press.circle
@@ -147,6 +150,7 @@ def _measure(
         saturated_share=float(saturated[disc].mean(dtype=np.float64)) if disc.any() else 0.0,
         texture=texture,
         texture_correlation=correlation,
+        picture=picture,
         rim_px=rim,
         lamps=lamps,
     )

@@ -1,34 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about light: drift, saturation, channel order, another sensor's frames, and a background
-that is missing, of another framing, of another light, or with a contact."""
+"""Findings about light: drift, saturation, channel order, and another sensor's frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from taccel_lab.calibration.capture.captures import CapturedPress
-from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.framing import (
-    CLEAR_GAIN,
-    OTHER_FRAMING_LEVELS,
-    best_channel_order,
-    in_light_of,
-    misfit_levels,
-)
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.framing import best_channel_order
 from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
-from taccel_lab.calibration.circles.color_change import WorkingSize
+from taccel_lab.calibration.circles.color_change import SUNK_RADII
+from taccel_lab.calibration.circles.contact_finder import MOSTLY
 from taccel_lab.calibration.light_drift import drift_remarks
 from taccel_lab.calibration.remarks import name_some
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.thumb import thumb
 from taccel_lab.report.remark import Remark
@@ -52,30 +42,21 @@ PAIR_THUMB_PX = 48
 MAX_PAIRED = 60
 HANDED = 0.7
 CHANNELS = "RGB"
-MIN_MEDIAN_PRESSES = 7
-DARK_LEVELS = 8.0
-_MEDIAN = "The median of the presses stands in for it; --background median of import keeps it"
-MIN_PRESSES = 5
-MIN_GHOST_LEVELS = 12.0
-GHOST_SHARE = 0.3
-"""Strength of the ghost against that of the presses' own contacts."""
-GHOST_AREA = 0.25
-"""Its area against that of a contact: dust that settled later is smaller."""
-AGREE = 0.35
-"""Presses that see the ghost differ from each other there by this share of it at most."""
-MIN_WITNESSES = 3
-MAX_COMPARED = 30
-"""Presses that are held against the background."""
-OPENING_SHARE = 1 / 40
-"""Half width of what is too small for a contact, as a part of the image's shorter side."""
 
 
-def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
-    """All findings of this module that need presses and a background (small, RGB levels)."""
+def check_light(
+    frames: Sequence[FrameFigures], background: np.ndarray, grid: PixelGrid
+) -> list[Remark]:
+    """All findings of this module that need presses on a grid and a background (small, RGB
+    levels)."""
     swapped = check_channel_order(frames, background)
     if swapped:  # Drift and other sensors would be found as a consequence.
         return [*swapped, *_check_saturation(frames)]
-    return [*_check_drift(frames, background), *_check_saturation(frames), *check_mixed(frames)]
+    return [
+        *_check_drift(frames, background),
+        *_check_saturation(frames),
+        *check_mixed(frames, grid),
+    ]
 
 
 def is_grey(frames: Sequence[FrameFigures], background: np.ndarray) -> bool | None:
@@ -181,20 +162,27 @@ def check_handedness(
     ]
 
 
-def check_mixed(frames: Sequence[FrameFigures]) -> list[Remark]:
-    """Frames of two sensors (or framings) in one folder."""
-    if len(frames) < MIN_MIXED:
+def check_mixed(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
+    """Frames of two sensors (or framings) in one folder, by the gel beside their contacts; those
+    that a contact mostly fills tell neither light nor gel."""
+    size = thumb(frames[0].thumb, PAIR_THUMB_PX).shape[1::-1] if frames else (1, 1)
+    seen = {i: _beside(frame, grid, size) for i, frame in enumerate(frames)}
+    compared = [i for i, beside in seen.items() if beside.mean() >= MOSTLY]
+    if len(compared) < MIN_MIXED:
         return []
-    pick = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAX_PAIRED)).astype(int))
+    count = min(len(compared), MAX_PAIRED)
+    pick = np.unique(np.take(compared, np.linspace(0, len(compared) - 1, count).astype(int)))
     # In the one light of the background, so that what differs is what they show.
     steady = [frames[i].light.remove(frames[i].thumb).astype(np.float32) for i in pick]
     small = [thumb(image, PAIR_THUMB_PX) for image in steady]
-    count = len(small)
     distance = np.zeros((count, count))
     for i in range(count):
         for j in range(i):
             change = np.linalg.norm(small[i] - small[j], axis=-1)
-            distance[i, j] = distance[j, i] = float(np.median(change))
+            both = seen[pick[i]] & seen[pick[j]]
+            distance[i, j] = distance[j, i] = float(
+                np.median(change[both] if both.any() else change)
+            )
     group = fcluster(linkage(squareform(distance), "average"), 2, "maxclust")
     first, second = (np.flatnonzero(group == k) for k in (1, 2))
     if not len(first) or not len(second):
@@ -221,166 +209,16 @@ def check_mixed(frames: Sequence[FrameFigures]) -> list[Remark]:
     ]
 
 
-@dataclass(frozen=True)
-class BackgroundCheck:
-    """Which picture of the untouched gel the other checks compare with."""
-
-    image: np.ndarray
-    """RGB uint8, shape [height_px, width_px, 3]: the background, or the median of the presses."""
-    is_median: bool
-    findings: tuple[Remark, ...]
-
-
-def median_background(presses: Sequence[CapturedPress]) -> np.ndarray:
-    """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them.
-
-    It is that of their pictures at the working size of contacts, as large as theirs.
-    """
-    from taccel_lab.calibration.capture.framing import median_image
-
-    height, width = presses[0].image().shape[:2]
-    size = WorkingSize(PixelGrid(width, height, 1.0, 1.0))
-    median = median_image([lambda press=press: size.picture(press.image()) for press in presses])
-    return size.enlarged(median)
-
-
-def check_background(folder: CaptureFolder) -> BackgroundCheck:
-    """Judge the background against the median of the presses, once a folder.
-
-    Raises:
-        InputError: There is none, and too few presses for their median.
-    """
-    return folder.once.of("background", lambda: _judged(folder))
-
-
-def _judged(folder: CaptureFolder) -> BackgroundCheck:
-    presses = folder.presses
-    if folder.background is None:
-        if len(presses) < MIN_MEDIAN_PRESSES:
-            raise InputError(
-                f"{folder.source}: no background and {len(presses)} presses; give an image of the "
-                f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
-            )
-        return BackgroundCheck(
-            median_background(presses), True, (remarks.NO_BACKGROUND(instead=_MEDIAN),)
-        )
-    image = folder.background.image()
-    if len(presses) < 3:
-        return BackgroundCheck(image, False, ())
-    median_image = median_background(presses)
-    small, median = thumb(image), thumb(median_image)
-    misfit = misfit_levels(median, small)
-    own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
-    if misfit < OTHER_FRAMING_LEVELS or misfit < CLEAR_GAIN * own:
-        picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
-        pressed = find_pressed_background(image, picked, folder.mask)
-        if pressed is not None:
-            enough = len(presses) >= MIN_MEDIAN_PRESSES
-            return BackgroundCheck(median_image if enough else image, enough, (pressed,))
-        return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
-    enough = len(presses) >= MIN_MEDIAN_PRESSES
-    if _is_dark(folder, image):
-        reason = "it is black, lamps off or the wrong file"
-        finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice="")
-        return BackgroundCheck(median_image if enough else image, enough, (finding,))
-    order, swapped, _ = best_channel_order(small, median)
-    if order != (0, 1, 2) and swapped * CLEAR_GAIN < misfit:
-        # Said by the check of channels, which sees all images against each other.
-        return BackgroundCheck(np.ascontiguousarray(image), False, ())
-    advice = (
-        " The median of the presses is used here, and as the background with capture import "
-        "--background median"
-        if enough
-        else ""
+def _beside(frame: FrameFigures, grid: PixelGrid, size: tuple[int, int]) -> np.ndarray:
+    """Pixels of a small picture, as wide and high as ``size``, beside the contact, bool, [h, w]."""
+    width, height = size
+    if frame.circle is None:
+        return np.ones((height, width), dtype=bool)
+    scale = width / grid.width_px
+    circle = ContactCircle(
+        (frame.circle.u_px + 0.5) * scale - 0.5,
+        (frame.circle.v_px + 0.5) * height / grid.height_px - 0.5,
+        frame.circle.radius_px * scale,
     )
-    reason = (
-        f"{misfit:.0f} levels apart after exposure and white balance are fitted, the presses "
-        f"among themselves {own:.0f}; of another sensor, framing, time or lamp setting"
-    )
-    finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice=advice)
-    chosen = median_image if enough else image
-    return BackgroundCheck(chosen, enough, (finding,))
-
-
-def _is_dark(folder: CaptureFolder, background: np.ndarray) -> bool:
-    """Whether a background that is used as a whole is black."""
-    return folder.mask is None and bool(background.mean() < DARK_LEVELS)
-
-
-def _check_untouched(folder: CaptureFolder) -> list[Remark]:
-    """Further images of the untouched sensor: how far it has drifted."""
-    background = folder.require_background().image()
-    if _is_dark(folder, background):
-        return [remarks.BACKGROUND_DIFFERS(reason="it is black", advice="")]
-    found = []
-    for frame in folder.untouched:
-        misfit = misfit_levels(thumb(frame.image()), thumb(background))
-        if misfit > OTHER_FRAMING_LEVELS:
-            found.append(
-                remarks.UNTOUCHED_DIFFERS(name=frame.name, misfit=misfit, frames=[frame.name])
-            )
-    return found
-
-
-def find_pressed_background(
-    background: np.ndarray, presses: Sequence[CapturedPress], mask: np.ndarray | None = None
-) -> Remark | None:
-    """An error when the background shows a contact that most of the presses do not.
-
-    What only the background shows stands, negative, at one place of every press, also of those that
-    touch the gel elsewhere. The median of the presses shows it as well, but so it does a place
-    where nearly all presses were made; hence only presses whose own contact lies elsewhere count.
-    ``background`` is RGB levels of the presses' size, shape [height_px, width_px, 3]; pixels where
-    ``mask`` is false have no effect.
-    """
-    if len(presses) < MIN_PRESSES:
-        return None
-    small = thumb(_blanked(background, mask))
-    used = np.ones((*small.shape[:2], 1), dtype=np.float32)
-    if mask is not None:
-        used[thumb(np.repeat(mask[..., None], 3, axis=-1).astype(np.float32)).min(axis=-1) < 1] = 0
-    stack = np.stack(
-        [
-            cv2.GaussianBlur((t - in_light_of(t, small)) * used, (0, 0), 1.0)
-            for t in (thumb(_blanked(press.image(), mask)) for press in presses)
-        ]
-    )
-    common = np.median(stack, axis=0)
-    size = np.linalg.norm(common, axis=-1)
-    apart = np.linalg.norm(stack - common, axis=-1)
-    typical = float(np.median([np.percentile(own, 99) for own in apart]))
-    floor = max(MIN_GHOST_LEVELS, GHOST_SHARE * typical)
-    ghost = _largest_part(size > floor)
-    own = apart > floor
-    if ghost.sum() < GHOST_AREA * max(1.0, float(np.median(own.sum(axis=(1, 2))))):
-        return None
-    near = cv2.dilate(ghost.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    elsewhere = (own & ~near).sum(axis=(1, 2)) >= 0.5 * ghost.sum()
-    alike = np.median(apart[:, ghost], axis=1) < AGREE * float(np.median(size[ghost]))
-    if (elsewhere & alike).sum() < max(MIN_WITNESSES, 0.5 * elsewhere.sum()):
-        return None
-    rows, columns = np.nonzero(ghost)
-    scale = background.shape[1] / small.shape[1]
-    return BACKGROUND_PRESSED(
-        u=columns.mean() * scale,
-        v=rows.mean() * scale,
-        count=int((elsewhere & alike).sum()),
-        levels=float(np.median(size[ghost])),
-    )
-
-
-def _blanked(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """Masked pixels take the mean of the others, so that the fit of the levels is hardly moved."""
-    if mask is None:
-        return image
-    return np.where(mask[..., None], image, image[mask].mean(axis=0)).astype(image.dtype)
-
-
-def _largest_part(found: np.ndarray) -> np.ndarray:
-    """The largest connected area that is left by an opening, bool."""
-    width = 2 * max(1, round(min(found.shape) * OPENING_SHARE)) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    opened = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(opened)
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    return parts == 1 + int(np.argmax(areas)) if len(areas) else np.zeros(found.shape, dtype=bool)
+    ratio = grid.mm_per_px_y * grid.height_px * width / (grid.mm_per_px_x * grid.width_px * height)
+    return circle.far(PixelGrid(width, height, min(1.0, 1 / ratio), min(1.0, ratio)), SUNK_RADII)

@@ -61,6 +61,12 @@ BACKGROUND_PRESSED = error(
     BY_BACKGROUND,
 )
 
+MEDIAN_PRESSED = error(
+    "median_pressed",
+    "the median of the presses shows a press, too: {reason}. Take an image of the untouched gel",
+    BY_BACKGROUND,
+)
+
 # Light and channels.
 SATURATED = warning(
     "saturated",
@@ -87,8 +93,42 @@ MIXED_SENSORS = error(
     "mixed_sensors",
     "the untouched gel looks different in {names} than in the other {others} images compared: "
     "{between:.0f} levels apart where frames of one kind differ by {within:.0f}. They are of "
-    "another sensor, another crop, or another lamp setting; give each its own folder",
+    "another sensor, crop or lamp setting; give each its own folder",
     ("color", "normals", "background"),
+)
+
+CHANNEL_DEAD = warning(
+    "channel_dead",
+    "{what} in {bad} of {count} images ({names}): a lamp is off, or the channel was lost",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
+CHANNELS_EQUAL = warning(
+    "channels_equal",
+    "channels are copies of each other in {bad} of {count} images ({names}): grey was saved as "
+    "colour",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
+LEVELS_MISSING = warning(
+    "levels_missing",
+    "only {least:.0%} of the levels occur in {bad} of {count} images ({names}), which were "
+    "quantised or stretched",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
+ENLARGED = warning(
+    "enlarged",
+    "{bad} of {count} images ({names}) show nothing finer than four pixels, not even noise: "
+    "enlarged, or far out of focus",
+    ("color", "normals", "scale"),
+    graver=Severity.ERROR,
+)
+SIDES_EXCHANGED = warning(
+    "sides_exchanged",
+    "{bad} of {count} presses ({names}) fit the background {how}",
+    ("color", "normals", "background"),
+    graver=Severity.ERROR,
 )
 
 # Ball presses.
@@ -139,9 +179,9 @@ DUPLICATES = warning(
 # The ball's radius and the scale.
 BALL_TOO_SMALL = warning(
     "ball_too_small",
-    "{wider} of {count} contacts are wider than their ball beyond the error of circle and scale "
-    "({names}): {first} has a radius of {widest:.2f} +- {sigma:.2f} mm at {mm_per_px:g} mm/px, the "
-    "ball {stated:g} mm. The ball's radius is too small, or the scale too large",
+    "{wider} of {count} contacts are wider than their ball ({names}): {first} has a radius of "
+    "{widest:.2f} +- {sigma:.2f} mm at {mm_per_px:g} mm/px, the ball {stated:g} mm. The ball's "
+    "radius is too small, or the scale too large",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
@@ -153,8 +193,8 @@ BALL_CONTRADICTED = error(
 BALL_FROM_BELOW = info(
     "ball_from_below",
     "images bound the ball's radius from below only: {larger:.3g} mm would leave {larger_rms:.2f} "
-    "levels, the stated {stated:g} mm leave {rms:.2f}. Is that its radius, not its diameter, and "
-    "the scale right? Presses of known depth_mm, or of a second ball, tell",
+    "levels, the stated {stated:g} mm leave {rms:.2f}. Depths rest on the stated radius, and no +- "
+    "holds another one. Travel (depth_mm) or a second ball tells",
 )
 WRONG_BALL_RADIUS = error(
     "wrong_ball_radius",
@@ -171,9 +211,9 @@ SCALE_UNUSUAL = warning(
 SIZE_OTHER = warning(
     "size_other",
     "the images are {width}x{height} px, those of the catalogue's {family} "
-    "{usual_width}x{usual_height} px: of other proportions, so that they cannot show the same part "
-    "of the gel. Is it another crop, another mode of the camera, or another sensor? State the "
-    "scale of these images (mm_per_px_x, mm_per_px_y), and give later images the same framing",
+    "{usual_width}x{usual_height} px: other proportions show another part of the gel. Is it "
+    "another crop, mode of the camera or sensor? State the scale of these images (mm_per_px_x, "
+    "mm_per_px_y), and give later ones the same framing",
     ("scale", "background", "color", "normals", "depth"),
 )
 

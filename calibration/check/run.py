@@ -14,6 +14,7 @@ from taccel_lab.calibration.capture.coverage import coverage_map, empty_cells
 from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
 from taccel_lab.calibration.check.content import (
     BlockStatus,
@@ -22,13 +23,8 @@ from taccel_lab.calibration.check.content import (
     check_targets,
 )
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
-from taccel_lab.calibration.check.light import (
-    BackgroundCheck,
-    check_background,
-    check_handedness,
-    check_light,
-    is_grey,
-)
+from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
+from taccel_lab.calibration.check.pictures import check_pictures
 from taccel_lab.calibration.check.presses import (
     check_contacts,
     found_circles,
@@ -45,7 +41,13 @@ from taccel_lab.report.remark import Remark, Severity
 
 ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
-SPOILS_SLOPES = {"channels_swapped", "mixed_sensors", "ball_too_small", "background_differs"}
+SPOILS_SLOPES = {
+    "channels_swapped",
+    "mixed_sensors",
+    "ball_too_small",
+    "background_differs",
+    "median_pressed",
+}
 """Faults that leave nothing to learn about the ball from colours."""
 RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
@@ -200,7 +202,8 @@ def press_findings(
     """All that ball presses say, of their figures."""
     small = thumb(background.image)
     findings = [
-        *check_light(frames, small),
+        *check_light(frames, small, grid),
+        *check_pictures(frames, background.image),
         *check_contacts(frames, grid),
         *check_balls(
             frames,

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
-from taccel_lab.calibration.check.light import check_background
+from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light import remarks
 from taccel_lab.calibration.light.background_result import (
     BackgroundCalibration,

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import ControlLock, Shot
+from taccel_lab.calibration.check.background import DARK_LEVELS
 from taccel_lab.calibration.check.frames import SATURATED_LEVEL, texture_seen
-from taccel_lab.calibration.check.light import DARK_LEVELS, SATURATED_SHARE
+from taccel_lab.calibration.check.light import SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
 from taccel_lab.calibration.light_drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
 from taccel_lab.reading.light import LightDrift

@@ -350,12 +350,14 @@ def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
 
 
 @pytest.mark.thorough
-def test_a_larger_ball_is_asked_about_where_no_travel_tells(tmp_path: Path) -> None:
-    """A diameter that is typed for the radius: colours fit it as well, and are said to."""
+def test_a_larger_ball_is_said_to_fit_where_no_travel_tells(tmp_path: Path) -> None:
+    """A diameter that is typed for the radius: colours fit it as well, and nobody is asked."""
     maker = few(spread_circles(6), radius_mm=4.0, labelled=False)
     found = by_code(check_captures(maker.load(tmp_path / "none")))
     assert found["ball_from_below"].severity == Severity.INFO
-    assert "8.8 mm would leave" in found["ball_from_below"].message
+    message = found["ball_from_below"].message
+    assert "8.8 mm would leave" in message and "no +- holds another" in message
+    assert "diameter" not in message
     told = by_code(check_captures(with_travel(maker).load(tmp_path / "travel")))
     assert "ball_contradicted" in told and "ball_from_below" not in told
 

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.check.background import median_background
 from taccel_lab.calibration.check.frames import measure_presses
-from taccel_lab.calibration.check.light import median_background
 from taccel_lab.calibration.circles import contact_finder
 from taccel_lab.calibration.circles.color_change import WorkingSize, fit_circle
 from taccel_lab.calibration.circles.contact_finder import detect_contact

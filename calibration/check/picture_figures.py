@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Channels and levels of one picture, whatever it shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+NAMES = ("red", "green", "blue")
+DEAD_LEVELS, ALIVE_LEVELS = 0.5, 2.0
+"""Standard deviations of a small picture's channel [levels]: dead below the first while another
+one is above the second. Real ones have 5 and more."""
+COPIED_SHARE = 0.99
+"""Share of the pixels in which two channels agree to a level, from which on one is a copy."""
+RANGE_LEVELS, LEVELS_KEPT = 16, 0.5
+"""Levels between the 2nd and 98th percentile from which on those in use are counted, and the share
+of them below which levels are missing."""
+
+DETAIL_LEVELS, SMOOTH_LEVELS = 0.38, 0.8
+"""Amplitude at a wavelength of three to five pixels below which there is no detail, where that of
+10 to 20 pixels is above the second [levels]. Rounding alone leaves 0.17 to 0.29."""
+LARGEST_STEP, AT_STEPS = 8, 0.95
+"""Largest factor of repeated pixels, and the share of all changes that lie at their borders."""
+MIDDLE_PX = 240
+"""Most rows and columns, about the middle, that tell detail."""
+
+
+@dataclass(frozen=True)
+class PictureFigures:
+    """Channels and levels of one picture."""
+
+    spread: np.ndarray
+    """Standard deviation of each channel of the small picture [levels], shape [3]."""
+    copies: tuple[bool, bool, bool]
+    """Whether red and green, green and blue, and blue and red agree."""
+    levels_kept: float
+    """Least share over the channels of the levels in use."""
+    is_enlarged: bool
+    """Whether it has no detail of single pixels, or repeats them."""
+
+    @classmethod
+    def of(cls, image: np.ndarray, small: np.ndarray) -> PictureFigures:
+        """Figures of RGB levels, uint8 [height_px, width_px, 3], and of the same made small."""
+        step = max(1, min(image.shape[:2]) // 240)
+        part = image[::step, ::step].astype(np.int16)
+        copies = [
+            bool((np.abs(part[..., c] - part[..., (c + 1) % 3]) <= 1).mean() > COPIED_SHARE)
+            for c in range(3)
+        ]
+        spread = small.reshape(-1, 3).std(axis=0)
+        kept = min(_levels_kept(image[..., c]) for c in range(3))
+        return cls(spread, (copies[0], copies[1], copies[2]), kept, _is_enlarged(image))
+
+    @property
+    def dead(self) -> tuple[str, ...]:
+        """Channels without a picture, where others have one."""
+        alive = self.spread.max() > ALIVE_LEVELS
+        return tuple(
+            n for n, s in zip(NAMES, self.spread, strict=True) if alive and s < DEAD_LEVELS
+        )
+
+
+def _levels_kept(channel: np.ndarray) -> float:
+    counts = np.bincount(channel.ravel(), minlength=256)
+    share = np.cumsum(counts) / channel.size
+    low, high = (int(np.searchsorted(share, at)) for at in (0.02, 0.98))
+    between = counts[low : high + 1]
+    return float((between > 0).mean()) if len(between) >= RANGE_LEVELS else 1.0
+
+
+def _middle(image: np.ndarray) -> np.ndarray:
+    top, left = (max(0, (length - MIDDLE_PX) // 2) for length in image.shape[:2])
+    return image[top : top + MIDDLE_PX, left : left + MIDDLE_PX]
+
+
+def _is_enlarged(image: np.ndarray) -> bool:
+    """Whether a picture has no detail of single pixels, or repeats them."""
+    image = _middle(image)
+    grey = image.mean(axis=-1, dtype=np.float32)
+    height, width = grey.shape
+    rows = (image[1:] != image[:-1]).any(axis=(1, 2)).astype(int)
+    columns = (image[:, 1:] != image[:, :-1]).any(axis=(0, 2)).astype(int)
+    for lines in (rows, columns):
+        if lines.any() and any(
+            max(lines[k::step].sum() for k in range(step)) > AT_STEPS * lines.sum()
+            for step in range(2, LARGEST_STEP + 1)
+        ):
+            return True
+    window = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
+    energy = np.abs(np.fft.rfft2((grey - grey.mean()) * window)) ** 2 / np.square(window).sum()
+    away = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None])
+    smooth, fine = (
+        float(np.sqrt(energy[(away >= low) & (away < high)].mean()))
+        for low, high in ((0.05, 0.1), (0.2, 0.3))
+    )
+    return smooth > SMOOTH_LEVELS and fine < DETAIL_LEVELS
