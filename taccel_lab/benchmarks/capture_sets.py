@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -67,6 +67,14 @@ def _normals(goal: float) -> tuple[CaptureFigure, ...]:
     )
 
 
+def _touches(smallest_mm: float) -> tuple[CaptureFigure, ...]:
+    return (
+        CaptureFigure("95 % of touches seen, ball R 4 [mm]", "smallest_mm.value", smallest_mm),
+        CaptureFigure("untouched, interval without 0 [share]", "untouched.share.value", 0),
+        CaptureFigure("untouched, 95 % of upper ends [N]", "untouched.most_n", 0.2),
+    )
+
+
 def _contacts() -> tuple[CaptureFigure, ...]:
     return (
         CaptureFigure("centre, median [px]", "agreement.center_median_px", 2.0),
@@ -99,6 +107,9 @@ CASES = (
     CaptureCase("GelSight (taxim)", TAXIM, "", "normals", _normals(3.3)),
     CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "normals", _normals(6.0)),
     CaptureCase("lab-made (RVSATHU)", RVSATHU, "", "normals", _normals(3.2)),
+    CaptureCase("lab-made (RVSATHU)", RVSATHU, "", "touch", _touches(0.1)),
+    CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "touch", _touches(0.05)),
+    CaptureCase("GelSight (taxim)", TAXIM, "", "touch", _touches(0.05)),
     CaptureCase(
         "fisheye GelSight (Photon26)", "gelsight_osaka_photon26", "", "camera",
         (CaptureFigure("held-out reprojection [px]", "intrinsics.heldout_rms_px", 0.70),),
@@ -139,7 +150,8 @@ class Captures(Suite):
     )
     shown: ClassVar[tuple[str, ...]] = ("command", "figure", "value", "goal", "met", "seconds")
     only: tuple[str, ...] = ()
-    """Commands to run: contacts, color, normals, camera, markers, material. Default: all."""
+    """Commands to run: contacts, color, normals, touch, camera, markers, material. Default:
+    all."""
 
     def measure_rows(self, result: ResultFile) -> None:
         if self.device != "cpu":
@@ -178,9 +190,12 @@ def _imported(scratch: Path, source: str) -> Path | None:
 
 def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[str, Any]]:
     started = time.perf_counter()
-    report = (
-        _contact_report(folder) if case.command == "contacts" else _report(case, folder, scratch)
-    )
+    if case.command == "contacts":
+        report = _contact_report(folder)
+    elif case.command == "touch":
+        report = _touch_report(case, folder, scratch)
+    else:
+        report = _report(case, folder, scratch)
     seconds = time.perf_counter() - started
     for figure in case.figures:
         value = _pick(report, figure.path)
@@ -190,6 +205,7 @@ def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[s
             "command": case.command,
             "figure": figure.name,
             "value": value,
+            "interval": _interval(report, figure.path),
             "goal": figure.goal,
             "at_least": figure.at_least,
             "met": bool(met),
@@ -199,13 +215,35 @@ def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[s
         }
 
 
+def _fitted(case: CaptureCase, scratch: Path) -> Path:
+    """Folder of the profile that a case's command writes."""
+    return scratch / f"{case.source}_{case.part}_{case.command}".replace(":", "_")
+
+
 def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
-    out = scratch / f"{case.source}_{case.part}_{case.command}".replace(":", "_")
-    errors = _main("calibrate", case.command, str(folder), "--out", str(out))
-    path = out.with_name(out.name + "_report") / "report.json"
+    out = _fitted(case, scratch)
+    path, errors = out.with_name(out.name + "_report") / "report.json", ""
+    if not path.is_file():
+        errors = _main("calibrate", case.command, str(folder), "--out", str(out))
     if not path.is_file():
         raise InputError(f"calibrate {case.command} of {case.name} wrote no report: {errors}")
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _touch_report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
+    """Touches and untouched frames as the profile of both calibrations reads them."""
+    from taccel_lab.benchmarks.smallest_touch import touch_figures
+    from taccel_lab.calibration.capture import load_captures
+    from taccel_lab.profile import load_profile
+
+    by = {}
+    for command in ("color", "normals"):
+        fitted = replace(case, command=command)
+        _report(fitted, folder, scratch)
+        by[command] = load_profile(_fitted(fitted, scratch))
+    profile = by["normals"].with_block(by["color"].color, by["color"].color_weights)
+    captures = load_captures(folder)
+    return touch_figures(profile, captures.background, [p.image() for p in captures.presses])
 
 
 def _contact_report(folder: Path) -> dict[str, Any]:
@@ -233,10 +271,21 @@ def _contact_report(folder: Path) -> dict[str, Any]:
 def _pick(report: dict[str, Any], path: str) -> float:
     """The value at a dotted path; after a bar, its relative distance to that number."""
     dotted, _, reference = path.partition("|")
+    value = _at(report, dotted)
+    return abs(float(value) / float(reference) - 1) if reference else float(value)
+
+
+def _at(report: dict[str, Any], dotted: str) -> Any:
     value: Any = report
     for key in dotted.split("."):
         value = value[key]
-    return abs(float(value) / float(reference) - 1) if reference else float(value)
+    return value
+
+
+def _interval(report: dict[str, Any], path: str) -> list[float] | None:
+    """The 95 % interval that stands beside a value; None where there is none."""
+    above, _, name = path.rpartition(".")
+    return _at(report, above).get("interval") if name == "value" else None
 
 
 def _main(*arguments: str) -> str:
