@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
+import cv2
 import numpy as np
 
 NAMES = ("red", "green", "blue")
@@ -22,8 +24,8 @@ DETAIL_LEVELS, SMOOTH_LEVELS = 0.38, 0.8
 10 to 20 pixels is above the second [levels]. Rounding alone leaves 0.17 to 0.29."""
 LARGEST_STEP, AT_STEPS = 8, 0.95
 """Largest factor of repeated pixels, and the share of all changes that lie at their borders."""
-MIDDLE_PX = 240
-"""Most rows and columns, about the middle, that tell detail."""
+LEAST_PX, MIDDLE_PX = 40, 240
+"""Fewest and most rows and columns, about the middle, that tell detail."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,13 @@ class PictureFigures:
     def of(cls, image: np.ndarray, small: np.ndarray) -> PictureFigures:
         """Figures of RGB levels, uint8 [height_px, width_px, 3], and of the same made small."""
         step = max(1, min(image.shape[:2]) // 240)
-        part = image[::step, ::step].astype(np.int16)
+        channels = cv2.split(np.ascontiguousarray(image[::step, ::step]))
         copies = [
-            bool((np.abs(part[..., c] - part[..., (c + 1) % 3]) <= 1).mean() > COPIED_SHARE)
-            for c in range(3)
+            bool((cv2.absdiff(one, channels[(c + 1) % 3]) <= 1).mean() > COPIED_SHARE)
+            for c, one in enumerate(channels)
         ]
         spread = small.reshape(-1, 3).std(axis=0)
-        kept = min(_levels_kept(image[..., c]) for c in range(3))
+        kept = min(map(_levels_kept, channels))
         return cls(spread, (copies[0], copies[1], copies[2]), kept, _is_enlarged(image))
 
     @property
@@ -62,7 +64,7 @@ class PictureFigures:
 
 
 def _levels_kept(channel: np.ndarray) -> float:
-    counts = np.bincount(channel.ravel(), minlength=256)
+    counts = cv2.calcHist([channel], [0], None, [256], [0, 256]).ravel()
     share = np.cumsum(counts) / channel.size
     low, high = (int(np.searchsorted(share, at)) for at in (0.02, 0.98))
     between = counts[low : high + 1]
@@ -87,11 +89,20 @@ def _is_enlarged(image: np.ndarray) -> bool:
             for step in range(2, LARGEST_STEP + 1)
         ):
             return True
-    window = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
-    energy = np.abs(np.fft.rfft2((grey - grey.mean()) * window)) ** 2 / np.square(window).sum()
-    away = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None])
-    smooth, fine = (
-        float(np.sqrt(energy[(away >= low) & (away < high)].mean()))
-        for low, high in ((0.05, 0.1), (0.2, 0.3))
-    )
+    if min(height, width) < LEAST_PX:
+        return False
+    window, bands = _bands(height, width)
+    spectrum = cv2.dft((grey - grey.mean()) * window, flags=cv2.DFT_COMPLEX_OUTPUT)
+    smooth, fine = (float(np.sqrt(np.square(spectrum[band]).sum(axis=-1).mean())) for band in bands)
     return smooth > SMOOTH_LEVELS and fine < DETAIL_LEVELS
+
+
+@cache
+def _bands(height: int, width: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Window of a picture, float32 [height, width], and where its spectrum has wavelengths of 10 to
+    20 pixels and of three to five, bool, the same shape."""
+    window = np.outer(np.hanning(height), np.hanning(width))
+    window /= np.sqrt(np.square(window).sum())
+    away = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None])
+    smooth, fine = ((away >= low) & (away < high) for low, high in ((0.05, 0.1), (0.2, 0.3)))
+    return window.astype(np.float32), (smooth, fine)
