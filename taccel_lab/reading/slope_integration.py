@@ -93,8 +93,10 @@ def _of_any_mean(
 
         flow = divergence_of(slopes.reshape(-1, *shape, 2), steps)
         return solve_poisson(flow, steps).reshape(slopes.shape[:-1])
-    along_x, along_y = slopes.double().unbind(dim=-1)
-    return _solved(_on_edges(along_x, along_y), steps, trust, tolerance)
+    # In single precision heights of 1 mm are off by 0.3 nm, in half of the time.
+    single = trust is None and not slopes.is_cuda
+    along_x, along_y = (slopes if single else slopes.double()).unbind(dim=-1)
+    return _solved(_on_edges(along_x, along_y), steps, trust, tolerance).double()
 
 
 def _counted(zero: Any, height: torch.Tensor) -> torch.Tensor:
@@ -216,15 +218,15 @@ def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> tor
     [..., height_px, width_px]; a mean of the right side, which no surface has, is dropped.
     """
     height, width = right_side.shape[-2:]
-    inverse = _inverse(height, width, steps_m, right_side.device)
+    inverse = _inverse(height, width, steps_m, right_side.dtype, right_side.device)
     return from_cosines(cosines(right_side) * inverse)
 
 
 @lru_cache(maxsize=16)
 def _inverse(
-    height: int, width: int, steps_m: tuple[float, float], device: torch.device
+    height: int, width: int, steps_m: tuple[float, float], dtype: Any, device: torch.device
 ) -> torch.Tensor:
-    return tensor_of(inverse_laplacian(height, width, steps_m)).to(device)
+    return tensor_of(inverse_laplacian(height, width, steps_m)).to(dtype).to(device)
 
 
 @lru_cache(maxsize=16)
