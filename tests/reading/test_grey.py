@@ -12,8 +12,8 @@ import pytest
 import taccel_lab as tl
 from taccel_lab.files.images import read_image
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_layer
-from taccel_lab.reading.grey import pixel_noise
-from taccel_lab.signals.depth_response import DepthResponse
+from taccel_lab.reading.grey import grey_depths, pixel_noise
+from taccel_lab.signals.depth_response import DepthMap, DepthResponse
 from tests.reading.test_common_gain import darker_corners
 from tests.support.real_data import real_data
 
@@ -110,3 +110,27 @@ def test_noise_of_pixels_is_told_from_what_is_smooth(levels: float) -> None:
     smooth = 30.0 * np.exp(-((u - 150.0) ** 2 + (v - 90.0) ** 2) / 2000.0) + 0.1 * u
     noise = np.random.default_rng(2).normal(0.0, levels, smooth.shape)
     assert pixel_noise(smooth + noise) == pytest.approx(levels, rel=0.05)
+
+
+@pytest.mark.parametrize("levels", [6.0, 20.0, 40.0])
+def test_noise_that_averaging_leaves_is_as_large_as_stated(levels: float) -> None:
+    """Of noise that a window can average none is left to state; of twice as much, twice."""
+    sensor = tl.load_sensor("9dtact")
+    grid, response = sensor.grid(), DepthResponse.from_profile(sensor)
+    assert sensor.background_rgb is not None
+    rest = sensor.background_rgb.astype(float)
+    x, y = np.meshgrid(grid.x_mm() - grid.x_mm().mean(), grid.y_mm() - grid.y_mm().mean())
+    dent_mm = np.maximum(0.6 - (x**2 + y**2) / 8.0, 0.0)
+    drawn = response.render(dent_mm, rest)
+
+    def read(noise: float) -> DepthMap:
+        image = noisy(drawn, noise)
+        return grey_depths(response, image, rest, grid, sensor.gel.thickness_mm).depths
+
+    quiet, found, twice = (read(noise) for noise in (0.0, levels, 2 * levels))
+    inside = dent_mm > 0.3
+    off, stated = np.abs(found.depth_mm - quiet.depth_mm)[inside], found.reading_sigma_mm[inside]
+    assert 0.9 < (off < 2 * stated).mean() <= 1.0
+    assert 0.5 < np.sqrt(np.mean(off**2)) / stated.mean() < 1.2
+    known, most = (float(each.reading_sigma_mm[inside].mean()) for each in (quiet, twice))
+    assert most > 1.4 * stated.mean() or most == pytest.approx(known, rel=0.1)
