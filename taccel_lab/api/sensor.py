@@ -13,6 +13,7 @@ import numpy as np
 from taccel_lab.api.any_sensor import AnySensor, changed_profile, reading_profile_of
 from taccel_lab.api.press_run import press
 from taccel_lab.api.read import Method, Reader, read
+from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.typed import typed
@@ -107,7 +108,7 @@ class Sensor(SensorProfile):
 
 
 @typed
-def load_sensor(sensor: AnySensor, /, **parameters: Any) -> Sensor:
+def load_sensor(sensor: AnySensor, /, *former: Any, **parameters: Any) -> Sensor:
     """Load a sensor.
 
     Args:
@@ -117,10 +118,17 @@ def load_sensor(sensor: AnySensor, /, **parameters: Any) -> Sensor:
             file of a gel those of the sensor that it is ``like``, ``edge_mm``, and the options of
             ``taccel-lab import-gel``: ``contact``, ``bond``, ``window`` and the other fields of
             ``FaceSelection``.
+        former: Nothing: parameters in a dictionary, as of 0.1, are refused with the way to give
+            them now.
 
     Raises:
         InputError: No such sensor, a damaged profile, or parameters that cannot be used.
     """
+    if former:
+        given = former[0] if isinstance(former[0], dict) and former[0] else {"thickness_mm": 3}
+        named = ", ".join(f"{name}={value!r}" for name, value in given.items())
+        shown = repr(sensor) if isinstance(sensor, (str, Path)) else "sensor"
+        raise InputError(f"load_sensor takes parameters by name: load_sensor({shown}, {named})")
     found = changed_profile(sensor, parameters) if parameters else reading_profile_of(sensor)
     return Sensor.of(found)
 

@@ -162,6 +162,12 @@ def test_a_near_miss_is_answered_by_one_name(word: str) -> None:
         call()
 
 
+def test_parameters_in_a_dictionary_are_answered_by_their_names() -> None:
+    says = r"by name: load_sensor\('flat_pad', thickness_mm=4, width_mm=20\)"
+    with pytest.raises(tl.InputError, match=says):
+        tl.load_sensor("flat_pad", {"thickness_mm": 4, "width_mm": 20})
+
+
 @pytest.mark.parametrize(
     ("image", "says"),
     [
