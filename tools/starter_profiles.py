@@ -33,6 +33,11 @@ from taccel_lab.profile import save_profile
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.sensors.starters import ABOUT, STARTERS
 
+UNIT_SHARE = 0.25
+"""Standard deviation of slopes of other units, as a share of their tilt: that of the 90-degree
+edges of every second of 16 cubes on another GelSight Mini (``gsmini_cube_edges``), beside the
+stated one; the other eight have the same."""
+
 
 @dataclass(frozen=True)
 class Starter:
@@ -130,6 +135,11 @@ def make(name: str, data: Path) -> None:
         found = _calibrated(starter, data, Path(scratch) / name)
     profile = found.profile
     assert profile.background is not None and profile.background_rgb is not None
+    if profile.normals is not None:
+        settings = {**profile.normals.architecture, "unit_share": UNIT_SHARE}
+        profile = profile.with_block(
+            profile.normals.model_copy(update={"architecture": settings}), profile.normal_weights
+        )
     levels = np.rint(profile.background_rgb).astype(np.uint8)  # A quarter of the size.
     folder = STARTERS / name
     save_profile(profile.with_block(profile.background, levels), folder, starter.kept)

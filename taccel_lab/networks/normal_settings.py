@@ -87,6 +87,9 @@ class NormalModelConfig(NetworkSettings):
     presses_px: tuple[float, ...] = ()
     """Contacts that it was fitted to, each column, row and radius [px]; empty in profiles that do
     not say."""
+    unit_share: float = 0.0
+    """Standard deviation of slopes of another unit of the sensor than the one that was captured, as
+    a share of the tilt, and of the depths that they add up to; 0 of one's own."""
     small_hidden: tuple[int, ...] = ()
     """Widths of the hidden layers of the small network that reads for the ensemble what it reads as
     well (``small_network``); empty where the ensemble reads all."""
@@ -129,6 +132,7 @@ class NormalModelConfig(NetworkSettings):
             ("height_factor", 0.0, 100.0),
             ("along_factor", 0.0, 100.0),
             ("depth_share", 0.0, 2.0),
+            ("unit_share", 0.0, 2.0),
             ("error_factor", 0.02, 50.0),
             ("radius95_sigmas", 1.0, 100.0),
             ("presses_px", -largest, 2 * largest),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 
@@ -58,6 +59,8 @@ def place_fonts() -> None:
     named = os.environ.get(CACHE_VARIABLE)
     if named and not os.access(os.path.expanduser("~"), os.W_OK):
         os.environ.setdefault(_FONTS_VARIABLE, str(Path(named).absolute() / "matplotlib"))
+        # The first run makes it, which a slow machine would be told of.
+        logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 
 def _users_caches() -> Path:

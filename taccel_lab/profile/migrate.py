@@ -84,6 +84,12 @@ def _ensembles_alone(document: Document) -> Document:
     return _with_settings(document, "normals", small_hidden=[])
 
 
+def _own_unit(document: Document) -> Document:
+    """Version 14 has networks of normals say how far slopes of other units are off; those of
+    version 13 are taken to be read on the unit that was captured."""
+    return _with_settings(document, "normals", unit_share=0.0)
+
+
 STEPS: Mapping[int, Step] = {
     1: _as_it_is,  # Blocks of the optics, layers of the gel and their mesh array.
     2: _as_it_is,  # Normals, depth_response, perturbation, laws of the material, more evidence.
@@ -97,6 +103,7 @@ STEPS: Mapping[int, Step] = {
     10: _one_light,
     11: _branches_alone,
     12: _ensembles_alone,
+    13: _own_unit,
 }
 
 

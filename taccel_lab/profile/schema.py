@@ -45,7 +45,7 @@ from taccel_lab.version import __version__
 if TYPE_CHECKING:
     from taccel_lab.profile.schema import SensorBlock
 
-SCHEMA_VERSION = 13
+SCHEMA_VERSION = 14
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]

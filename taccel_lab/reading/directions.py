@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.on_pixels import on_pixels, repeated
+from taccel_lab.reading.slopes import NormalMap
 from taccel_lab.signals.normals import normals_from_height
 
 
@@ -28,19 +30,21 @@ class Directions:
 
 
 def directions_of_blocks(
-    normals: np.ndarray,
-    sigma_deg: np.ndarray,
+    read: NormalMap[np.ndarray],
+    config: NormalModelConfig,
     beyond: np.ndarray,
     shape: tuple[int, ...],
     block_px: int,
-    radius_sigmas: float,
 ) -> Directions:
-    """Directions of all pixels, of normals, deviations and steep places of blocks."""
-    fine, fine_deg = on_pixels([normals, sigma_deg], shape, block_px)
+    """Directions of all pixels, of what a model of ``config`` read of blocks of so many, and of
+    their steep places."""
+    lean_deg = np.degrees(np.hypot(*np.moveaxis(read.tilt_rad, -1, 0)))
+    sigma_deg = np.hypot(read.sigma_deg, config.unit_share * lean_deg)
+    fine, fine_deg = on_pixels([read.normals, sigma_deg], shape, block_px)
     fine = fine / np.sqrt(np.einsum("hwc,hwc->hw", fine, fine))[..., None]
     fine_deg = np.maximum(fine_deg, sigma_deg.min())
     steep = repeated(beyond, block_px, shape)
-    return Directions(fine, fine_deg, radius_sigmas * fine_deg, steep)
+    return Directions(fine, fine_deg, config.radius95_sigmas * fine_deg, steep)
 
 
 def directions_of_heights(height_m: np.ndarray, grid: PixelGrid) -> Directions:

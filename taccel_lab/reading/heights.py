@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Generic
@@ -208,10 +209,12 @@ def with_deviations(
     factor = quiet_factor(slope, slope_sigma, apart, counted)
     reading, quiet = reading * factor.clamp(min=1.0), factor.clamp(max=1.0)
     rise = tensor_of(read.rise_m)
+    # A depth is as far off as the slopes that add up to it.
+    share = math.hypot(config.depth_share, config.unit_share)
     if room() is not None:
         from taccel_lab.reading.fixed_surface import deviations_of
 
-        factors = config.height_factor, config.along_factor, config.depth_share
+        factors = config.height_factor, config.along_factor, share
         flat = (values.reshape(-1, *rise.shape[-2:]) for values in (reading, along, rise))
         reading, sigma = (
             found.reshape(rise.shape) for found in deviations_of(*flat, factors=factors)
@@ -220,7 +223,7 @@ def with_deviations(
     # As a sum of squares: a third of the time of ``hypot``.
     reading = reading.mul_(config.height_factor).to(rise.dtype)
     variance = along.mul_(config.along_factor).square_().to(rise.dtype)
-    variance.addcmul_(reading, reading).addcmul_(rise, rise, value=config.depth_share**2)
+    variance.addcmul_(reading, reading).addcmul_(rise, rise, value=share**2)
     sigma = variance.sqrt_()
     given, reading = read.rise_m, reading * quiet.to(reading.dtype)
     return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))

@@ -354,10 +354,7 @@ class Reader:
             lit, name, rise_m.astype(np.float64), *(others or (None, None)),
             touch=replace(touch, pixels=repeated(touch.pixels, block_px, shape)),
             method="normals",
-            directions=partial(
-                directions_of_blocks, read.normals, read.sigma_deg, beyond, shape, block_px,
-                config.radius95_sigmas,
-            ),
+            directions=partial(directions_of_blocks, read, config, beyond, shape, block_px),
         )  # fmt: skip
 
     def _beyond(self, tilt_rad: np.ndarray) -> np.ndarray:

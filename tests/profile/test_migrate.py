@@ -148,7 +148,9 @@ def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:
     assert NormalModel.from_profile(old(8)).config.along_factor == 0
     reading, figures = read(old(8), "auto")
     assert reading.height_sigma_m is not None and reading.reading_sigma_m is not None
-    assert (reading.height_sigma_m == reading.reading_sigma_m).all()
+    # Where nothing touches an image's own rest tells less.
+    assert (reading.reading_sigma_m > 0).all()
+    assert (reading.reading_sigma_m <= reading.height_sigma_m).all()
     assert figures["sigma_of"] == "reading alone" and figures["depth_error_mm"] > 0
     assert "+- is that of the reading alone" in figures["warnings"][0]
 
@@ -166,6 +168,11 @@ def test_versions_that_only_lack_what_came_later(version: int, later: Any) -> No
     profile = old(version)
     assert not later(profile)
     assert profile.blocks() == load_profile(OLD / f"v{version - 1}").blocks()
+
+
+def test_version_13_is_read_on_the_unit_that_was_captured() -> None:
+    assert "unit_share" not in document(13)["normals"]["architecture"]
+    assert NormalModel.from_profile(old(13)).config.unit_share == 0.0
 
 
 def test_version_12_is_read_by_the_ensemble_alone() -> None:

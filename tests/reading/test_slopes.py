@@ -141,14 +141,16 @@ def test_windows_of_blocks_are_those_of_their_pixels(size: tuple[int, int], mask
 
 
 def test_deviations_of_heights_hold_each_cause_by_its_size():
-    """Twice the reading's own, errors along the slope, or the calibration's share of the depth."""
+    """Twice the reading's own, errors along the slope, or the share of the depth of the calibration
+    or of other units."""
     still = background(3)
     v, u = np.mgrid[:36, :48]
     dent = 40.0 * np.exp(-((u - 20.0) ** 2 / 60.0 + (v - 19.0) ** 2 / 100.0))
     image = still + (dent[..., None] * [1.0, 0.5, -1.0]).astype(np.float32)
 
-    def read(reading=1.0, along=0.0, share=0.0):
+    def read(reading=1.0, along=0.0, share=0.0, unit=0.0):
         factors = {"height_factor": reading, "along_factor": along, "depth_share": share}
+        factors["unit_share"] = unit
         model = random_model(replace(CONFIG, error_length_px=4.0, **factors))
         return read_heights(model, image, still, PixelGrid(48, 36, 0.08, 0.05))
 
@@ -164,6 +166,7 @@ def test_deviations_of_heights_hold_each_cause_by_its_size():
         np.testing.assert_allclose(found.reading_sigma_m, alone.reading_sigma_m)
         wanted = np.hypot(leaning.sigma_m, share * depth)
         np.testing.assert_allclose(found.sigma_m, wanted, rtol=1e-9)
+        np.testing.assert_allclose(read(along=0.5, unit=share).sigma_m, wanted, rtol=1e-9)
 
 
 @pytest.mark.thorough
