@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from taccel_lab.calibration.capture.framing import (
     OTHER_FRAMING_LEVELS,
     best_channel_order,
     in_light_of,
+    median_image,
     misfit_levels,
 )
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
@@ -72,7 +73,7 @@ OPENING_SHARE = 1 / 40
 
 @dataclass(frozen=True)
 class BackgroundCheck:
-    """Which picture of the untouched gel the other checks compare with."""
+    """The picture of the untouched gel that the other checks compare with."""
 
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]: the background, or the median of the presses."""
@@ -85,8 +86,6 @@ def median_background(presses: Sequence[CapturedPress]) -> np.ndarray:
 
     It is that of their pictures at the working size of contacts, as large as theirs.
     """
-    from taccel_lab.calibration.capture.framing import median_image
-
     height, width = presses[0].image().shape[:2]
     size = WorkingSize(PixelGrid(width, height, 1.0, 1.0))
     median = median_image([lambda press=press: size.picture(press.image()) for press in presses])
@@ -111,15 +110,15 @@ def _judged(folder: CaptureFolder) -> BackgroundCheck:
                 f"{folder.source}: no background and {len(presses)} presses; give an image of the "
                 f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
             )
-        median_image = median_background(presses)
-        if (fault := _Touched.of(folder, median_image).fault_of_median) is not None:
+        whole_median = median_background(presses)
+        if (fault := _Touched.of(folder, whole_median).fault_of_median) is not None:
             raise InputError(fault.message)
-        return BackgroundCheck(median_image, True, (remarks.NO_BACKGROUND(instead=_MEDIAN),))
+        return BackgroundCheck(whole_median, True, (remarks.NO_BACKGROUND(instead=_MEDIAN),))
     image = folder.background.image()
     if len(presses) < 3:
         return BackgroundCheck(image, False, ())
-    median_image = median_background(presses)
-    small, median = thumb(image), thumb(median_image)
+    whole_median = median_background(presses)
+    small, median = thumb(image), thumb(whole_median)
     misfit = misfit_levels(median, small)
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
     if misfit < OTHER_FRAMING_LEVELS or misfit < CLEAR_GAIN * own:
@@ -128,7 +127,7 @@ def _judged(folder: CaptureFolder) -> BackgroundCheck:
             return BackgroundCheck(image, True, () if fault is None else (fault,))
         pressed = find_pressed_background(image, _picked(presses), folder.mask)
         if pressed is not None:
-            return BackgroundCheck(median_image if enough else image, enough, (pressed,))
+            return BackgroundCheck(whole_median if enough else image, enough, (pressed,))
         return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
     if _is_dark(folder, image):
         reason, advice = "it is black, lamps off or the wrong file", ""
@@ -144,11 +143,11 @@ def _judged(folder: CaptureFolder) -> BackgroundCheck:
             f"among themselves {own:.0f}; of another sensor, framing, time or lamp setting"
         )
         advice = _USED if enough else ""
-    fault = _Touched.of(folder, median_image).fault_of_median if enough else None
+    fault = _Touched.of(folder, whole_median).fault_of_median if enough else None
     if fault is not None:
         enough, advice = False, f" And {fault.message}"
     finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice=advice)
-    return BackgroundCheck(median_image if enough else image, enough, (finding,))
+    return BackgroundCheck(whole_median if enough else image, enough, (finding,))
 
 
 def _picked(presses: Sequence[CapturedPress]) -> Sequence[CapturedPress]:
@@ -157,7 +156,7 @@ def _picked(presses: Sequence[CapturedPress]) -> Sequence[CapturedPress]:
 
 @dataclass(frozen=True)
 class _Touched:
-    """Where presses touch, by the contacts that stand out of a background."""
+    """Places that presses touch, by the contacts that stand out of a background."""
 
     circles: tuple[ContactCircle, ...]
     looked_at: int
@@ -179,9 +178,10 @@ class _Touched:
 
     @property
     def by_most(self) -> bool:
-        """Whether one place lies in most contacts."""
-        return len(self.circles) >= MIN_WITNESSES and bool(self._shares().max() > MOST)
+        """One place lies in most contacts."""
+        return len(self.circles) >= MIN_WITNESSES and bool(self._shares.max() > MOST)
 
+    @cached_property
     def _shares(self) -> np.ndarray:
         """Part of the contacts that each pixel lies in, shape [height_px, width_px]."""
         inside = [c.distance_px(self.grid) <= c.radius_px for c in self.circles]
@@ -189,7 +189,8 @@ class _Touched:
 
     @property
     def fault_of_median(self) -> Remark | None:
-        """Why the median of the presses, out of which the contacts stand, is no untouched gel."""
+        """A reason that the median of the presses, out of which contacts stand, is no untouched
+        gel; None where it is one."""
         if len(self.circles) < MIN_WITNESSES:
             reason = (
                 f"a contact stands out of it in {len(self.circles)} of {self.looked_at} presses"
@@ -197,7 +198,7 @@ class _Touched:
             return MEDIAN_PRESSED(reason=reason)
         if not self.by_most:
             return None
-        shares = self._shares()
+        shares = self._shares
         v, u = np.argwhere(shares == shares.max()).mean(axis=0)
         most, count = round(float(shares.max()) * len(self.circles)), len(self.circles)
         reason = f"{most} of {count} contacts lie over one place, around ({u:.0f}, {v:.0f}) px"
@@ -210,8 +211,8 @@ class _Touched:
 
 
 def _differs_where_touched(folder: CaptureFolder, image: np.ndarray, median: np.ndarray) -> bool:
-    """Whether a background (RGB levels) and the median of the presses (small) are of one gel, and
-    differ only where most presses touch it."""
+    """A background (RGB levels) and the median of the presses (small) are of one gel, and differ
+    only where most presses touch it."""
     if _is_of_another_gel(folder, image):
         return False
     touched = _Touched.of(folder, image)
@@ -223,7 +224,7 @@ def _differs_where_touched(folder: CaptureFolder, image: np.ndarray, median: np.
 
 
 def _is_of_another_gel(folder: CaptureFolder, image: np.ndarray) -> bool:
-    """Whether the finest pattern of a background's gel is in few of the presses."""
+    """The finest pattern of a background's gel is in few of the presses."""
     known = Pattern(SmallImage.of(image, folder.mask, FINE_PX), FINE_SHARE)
     if not known.is_clear:
         return False

@@ -48,7 +48,7 @@ AROUND_PX = 20
 TOUCHES = 80
 """Touches, and untouched frames: from 73 on the interval of the depth has an upper end."""
 DEPTHS_MM = np.geomspace(0.01, 0.64, 64)
-"""Depths that are told apart: steps of 7 %."""
+"""Depths that are compared: steps of 7 %."""
 POINTS = 320
 """Points at most along the grid that balls are pressed on, twice as wide as the view."""
 MARGIN_MM = 1.5
