@@ -51,6 +51,10 @@ from taccel_lab.reading.light import LightDrift
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.rest_surface import rest_surface
 
+DOUBTFUL_BALL = (
+    "the radius of the ball that it was calibrated with may be its diameter: depths may be twice "
+    "as large, which their intervals hold"
+)
 MEAN_OF = 4
 """Presses that have a mean light."""
 
@@ -225,6 +229,19 @@ def with_captured_background(
         inputs={"background": sha256},
     )
     return profile.with_block(BackgroundBlock(provenance=provenance), image)
+
+
+def with_doubtful_ball(profile: SensorProfile, ball_share: float) -> SensorProfile:
+    """``profile`` with a remark, which readings repeat, where the ball that it is calibrated with
+    adds a share to all deviations (``diameter_share``), and without it otherwise."""
+    provenance = profile.sensor.provenance
+    said = tuple(remark for remark in provenance.remarks if remark != DOUBTFUL_BALL)
+    if ball_share > 0:
+        said = (*said, DOUBTFUL_BALL)
+    if said == provenance.remarks:
+        return profile
+    provenance = provenance.model_copy(update={"remarks": said})
+    return profile.with_block(profile.sensor.replace(provenance=provenance))
 
 
 class Fit(Protocol):

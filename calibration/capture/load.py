@@ -140,6 +140,7 @@ def _load_folder(manifest_path: Path, corrected: bool) -> CaptureFolder:
         mask=_load_mask(folder, manifest.mask, like),
         mm_per_px=None if scale[0] is None or scale[1] is None else (scale[0], scale[1]),
         ball_radius_mm=None if manifest.indenter is None else manifest.indenter.radius_mm,
+        by_diameter=manifest.indenter is not None and manifest.indenter.diameter_mm is not None,
         presses=tuple(presses),
         boards=tuple(
             BoardCaptures(

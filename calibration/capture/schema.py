@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, AwareDatetime, Field
+from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from taccel_lab.files.inner_path import require_inner_name
 from taccel_lab.files.output_folder import CAPTURES
@@ -26,6 +27,8 @@ MAX_MM_PER_PX = 1.0
 MIN_MM_PER_PX = 1e-4
 MAX_RADIUS_MM = 50.0
 MIN_RADIUS_MM = 0.05
+SAME_BALL = 0.01
+"""Share of a ball's diameter that twice its radius may differ from it by, as rounded numbers do."""
 MAX_EDGE_MM = 200.0
 MIN_EDGE_MM = 0.1
 
@@ -38,7 +41,30 @@ class SphereIndenter(StrictModel):
 
     kind: Literal["sphere"] = "sphere"
     radius_mm: Number = Field(gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)
-    """Ball radius [mm], 0.05 to 50."""
+    """Ball radius [mm], 0.05 to 50; half of the diameter where that alone is given."""
+    diameter_mm: Number | None = None
+    """Diameter [mm], as callipers say it: nobody takes it for a radius then."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_diameter(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and "radius_mm" not in given:
+            diameter = given.get("diameter_mm")
+            if isinstance(diameter, (int, float)):
+                return {**given, "radius_mm": diameter / 2}
+        return given
+
+    @model_validator(mode="after")
+    def _check_diameter(self) -> Self:
+        if self.diameter_mm is not None and not math.isclose(
+            self.diameter_mm, 2 * self.radius_mm, rel_tol=SAME_BALL
+        ):
+            raise ValueError(
+                f"diameter_mm is {self.diameter_mm:g}, twice the radius_mm of "
+                f"{self.radius_mm:g} is {2 * self.radius_mm:g}; give one of them, or both of "
+                "one ball"
+            )
+        return self
 
 
 class CircleEntry(StrictModel):

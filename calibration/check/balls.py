@@ -3,7 +3,7 @@
 
 A radius on its own cannot be read from a contact circle. It shows where it contradicts something:
 
-- a contact wider than the ball, or a ball pushed in deeper than the gel is thick;
+- a contact wider than the ball, or a ball pushed in deeper than the gel is thick (``ball_sizes``);
 - travel: a ball that is pressed ``d`` deep leaves a contact of ``a^2 = R d`` on an elastic gel
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
@@ -28,36 +28,36 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.captures import (
+    CapturedPress,
+    CaptureSet,
+    check_place,
+    check_radius,
+)
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, catalogue_view_mm
 from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.ball_sizes import (
+    MIN_TRAVELS,
+    TRAVEL_SLACK,
+    ball_sizes,
+    check_size_of_balls,
+)
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.circles.contact_finder import fit_together
-from taccel_lab.calibration.circles.grey import LABEL_SHARE, LABEL_SIGMA_PX
 from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
 from taccel_lab.calibration.circles.press_model import MAX_CONTACT_RATIO, SINK_IN_SCALE
 from taccel_lab.calibration.circles.uncertainty import OTHER_SINK_IN_SCALE
 from taccel_lab.calibration.pad import fitted_parameters, past_largest_pad, view_remarks
-from taccel_lab.calibration.remarks import name_some
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 
-SURE = 2.0
-"""Standard deviations by which a contact has to be wider than its ball."""
-FOUND_SIGMA_PX, SCALE_SHARE = 1.0, 0.02
-"""Standard deviations of a found contact's radius (and the least of them [px]), and of a scale that
-somebody states. Found circles lie 2 px and 3 % off careful labels.
-"""
-TRAVEL_SLACK = 1.35
-"""Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
 ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
 SAME_PROPORTIONS = 0.02
 """Difference of two images' proportions up to which they may show the same."""
-FITTED_PRESSES, MIN_PRESSES, MIN_TRAVELS = 12, 4, 2
-FEW_SHARE = 0.1
-"""So many contacts may be wrongly found or labelled before the radius is at fault."""
+FITTED_PRESSES, MIN_PRESSES = 12, 4
 SCALE_FACTOR = 1.4
 """Published scales of one and the same sensor differ by up to this."""
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
@@ -81,84 +81,14 @@ def check_balls(
     """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor."""
     found = list(_check_rates(frames, ball_radius_mm))
     if grid is not None and ball_radius_mm is not None:
-        found += _check_size(frames, grid, ball_radius_mm, gel_thickness_mm)
+        sizes = ball_sizes(frames, grid, ball_radius_mm)
+        found += check_size_of_balls(sizes, grid.mm_per_px_x, gel_thickness_mm)
         found += _check_travel(frames, grid, ball_radius_mm)
     return found
 
 
 def _radius_mm(frame: FrameFigures, ball_radius_mm: float | None) -> float | None:
     return frame.press.radius_mm or ball_radius_mm
-
-
-def _check_size(
-    frames: Sequence[FrameFigures],
-    grid: PixelGrid,
-    ball_radius_mm: float,
-    gel_thickness_mm: float | None,
-) -> list[Remark]:
-    too_wide, too_deep, deepest, measured = [], [], 0.0, 0
-    for frame in frames:
-        size = _contact_mm(frame, grid)
-        if size is None:
-            continue
-        measured += 1
-        contact, sigma = size
-        radius = _radius_mm(frame, ball_radius_mm) or ball_radius_mm
-        least = contact - SURE * sigma
-        if least > radius:
-            too_wide.append((contact / radius, contact, sigma, frame.press.name))
-            continue
-        depth = radius - np.sqrt(radius**2 - max(least, 0.0) ** 2)
-        if gel_thickness_mm is not None and depth > 0.9 * gel_thickness_mm:
-            too_deep.append(frame.press.name)
-            deepest = max(deepest, float(depth))
-    found = []
-    if too_wide:
-        _, widest, sigma, first = max(too_wide)
-        names = [name for *_, name in too_wide]
-        found.append(
-            remarks.BALL_TOO_SMALL(
-                wider=len(names),
-                count=measured,
-                first=first,
-                widest=widest,
-                sigma=sigma,
-                mm_per_px=grid.mm_per_px_x,
-                stated=ball_radius_mm,
-                names=name_some(names),
-                frames=names,
-                grave=len(names) > FEW_SHARE * measured,
-            )
-        )
-    if too_deep:
-        found.append(
-            remarks.BALL_CONTRADICTED(
-                diameter="",
-                evidence=f"{len(too_deep)} contacts of the stated ball would be up to "
-                f"{deepest:.1f} mm deep in a gel of {gel_thickness_mm:g} mm",
-                frames=too_deep,
-            )
-        )
-    return found
-
-
-def _contact_mm(frame: FrameFigures, grid: PixelGrid) -> tuple[float, float] | None:
-    """Radius of the contact and its standard deviation [mm]: of the smaller of the circles given
-    and found; None without either."""
-    radii = []
-    if frame.press.circle is not None:
-        label = frame.press.circle.radius_px
-        radii.append((label, max(LABEL_SIGMA_PX, LABEL_SHARE * label)))
-    if frame.contact is not None:
-        found = frame.contact.circle.radius_px
-        radii.append(
-            (found, max(frame.contact.radius_sigma_px, FOUND_SIGMA_PX, LABEL_SHARE * found))
-        )
-    if not radii:
-        return None
-    radius, sigma = min(radii)
-    share = np.hypot(sigma / radius, SCALE_SHARE)
-    return radius * grid.mm_per_px_x, float(share * radius * grid.mm_per_px_x)
 
 
 def _check_travel(
@@ -240,16 +170,29 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         mask=np.ones(background.shape[:2], dtype=bool) if folder.mask is None else folder.mask,
         ball_radius_mm=folder.ball_radius_mm,
         grid=grid,
-        # Labels that contradict the ball are a finding of their own.
-        presses=tuple(
-            replace(p, circle=None) if p.checked else p for p in (plain[i] for i in pick)
-        ),
+        presses=tuple(_without_odd_label(plain[i], grid, folder.ball_radius_mm) for i in pick),
         provenance={},
     )
     found = check_ball(chosen, remarks.BY_COLOR)
     if found is None or (found.code == remarks.BALL_FROM_BELOW.code and _told_otherwise(folder)):
         return []
     return [found]
+
+
+def _without_odd_label(
+    press: CapturedPress, grid: PixelGrid, ball_radius_mm: float
+) -> CapturedPress:
+    """The press as it is where its label can be one of the ball and leaves its circle free: what
+    else labels are is a finding of their own, and colours tell without them."""
+    circle = press.circle
+    if circle is None:
+        return press
+    try:
+        check_place(circle, grid, press.source)
+        check_radius(circle, grid, ball_radius_mm, press.source)
+    except InputError:
+        return replace(press, circle=None)
+    return replace(press, circle=None) if press.checked else press
 
 
 def _told_otherwise(folder: CaptureFolder) -> bool:

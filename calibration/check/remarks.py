@@ -196,6 +196,13 @@ BALL_FROM_BELOW = info(
     "levels, the stated {stated:g} mm leave {rms:.2f}. Depths rest on the stated radius, and no +- "
     "holds another one. Travel (depth_mm) or a second ball tells",
 )
+BALL_OR_DIAMETER = warning(
+    "ball_or_diameter",
+    "{stated:g} mm may be the ball's diameter: contacts reach {largest:.0%} of it, so that half of "
+    "it leaves them, too. Depths may be twice as large, which intervals hold. Measure the ball and "
+    "add diameter_mm to [indenter], press deeper, or state depth_mm",
+    ("color", "normals", "depth"),
+)
 WRONG_BALL_RADIUS = error(
     "wrong_ball_radius",
     "wrong ball radius or scale: the joint fit leaves {rms:.2f} levels with the stated {stated:g} "

@@ -15,6 +15,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
+from taccel_lab.calibration.check.ball_sizes import ball_sizes, check_diameter
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
 from taccel_lab.calibration.check.content import (
     BlockStatus,
@@ -36,11 +37,14 @@ from taccel_lab.calibration.remarks import GREY_OR_COLOUR
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.reading.thumb import thumb
 from taccel_lab.report.remark import Remark, Severity
 
 ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
+KEEPS_VOLUME = 0.4999
+"""Poisson's ratio of gels, near enough for a ball's depth in one."""
 SPOILS_SLOPES = {
     "channels_swapped",
     "mixed_sensors",
@@ -205,12 +209,7 @@ def press_findings(
         *check_light(frames, small, grid),
         *check_pictures(frames, background.image),
         *check_contacts(frames, grid),
-        *check_balls(
-            frames,
-            grid if folder.mm_per_px is not None else None,
-            folder.ball_radius_mm,
-            None if facts is None else facts.thickness_mm,
-        ),
+        *_ball_findings(folder, frames, grid, None if facts is None else facts.thickness_mm),
     ]
     if facts is None:
         return findings
@@ -231,6 +230,19 @@ def press_findings(
             GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
         )
     return findings
+
+
+def _ball_findings(
+    folder: CaptureFolder, frames: list[FrameFigures], grid: PixelGrid, thickness_mm: float | None
+) -> list[Remark]:
+    """Findings on the ball's radius; where none contradicts it, whether it may be its diameter."""
+    stated = grid if folder.mm_per_px is not None else None
+    found = check_balls(frames, stated, folder.ball_radius_mm, thickness_mm)
+    if found or stated is None or folder.ball_radius_mm is None or folder.by_diameter:
+        return found
+    thickness_mm = folder.design.get("thickness_mm", thickness_mm)
+    layer = None if thickness_mm is None else BondedLayer(thickness_mm, KEEPS_VOLUME)
+    return check_diameter(frames, ball_sizes(frames, stated, folder.ball_radius_mm), layer)
 
 
 def capture_findings(

@@ -22,6 +22,7 @@ from taccel_lab.reading.bonded_layer import (
 from taccel_lab.reading.slope_integration import border_of, plane_of
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.rest_surface import RestSurface
+from taccel_lab.with_error import NORMAL_95
 
 LARGEST_RADII = 0.985
 """Contacts up to the ball's equator are taken this much smaller: its slope has no bound there."""
@@ -172,15 +173,28 @@ def sunk_share(
 ) -> float:
     """Standard deviation, as a share of the depth, by a thickness that is known to an interval of
     95 %, at a ball's contact of ``radius_mm``."""
+    low, high = (
+        depth_of_contact(radius_mm, ball_mm, replace(layer, thickness_mm=thickness))
+        for thickness in interval_mm
+    )
+    return math.log(high / low) / 4
+
+
+def depth_of_contact(radius_mm: float, ball_mm: float, layer: BondedLayer) -> float:
+    """Depth [mm] at which a ball touches a layer in a circle of ``radius_mm``."""
     pitch = radius_mm / POINTS_PER_RADIUS
     side = 4 * POINTS_PER_RADIUS + 1
     grid, middle = PixelGrid(side, side, pitch, pitch), 2.0 * POINTS_PER_RADIUS
     circle = ContactCircle(middle, middle, float(POINTS_PER_RADIUS))
-    low, high = (
-        ball_in_layer(circle, ball_mm, grid, replace(layer, thickness_mm=thickness))[0]
-        for thickness in interval_mm
-    )
-    return math.log(high / low) / 4
+    return ball_in_layer(circle, ball_mm, grid, layer)[0]
+
+
+def diameter_share(radius_mm: float, ball_mm: float, layer: BondedLayer) -> float:
+    """Standard deviation, as a share of the depth, with which a 95 % interval reaches the depth
+    that a ball half as large has at a contact of ``radius_mm``: for a radius that may be a
+    diameter."""
+    depths = [depth_of_contact(radius_mm, ball, layer) for ball in (ball_mm, ball_mm / 2)]
+    return (depths[1] / depths[0] - 1.0) / NORMAL_95
 
 
 def deeper_per_mm(rim_mm: float, ball_mm: float, depth_mm: float) -> float:

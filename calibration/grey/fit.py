@@ -36,7 +36,9 @@ from taccel_lab.calibration.capture.captures import (
     widest_gap_px,
 )
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.remarks import BALL_OR_DIAMETER
 from taccel_lab.calibration.check.run import capture_findings, joined, refusing_with
+from taccel_lab.calibration.circles.ball_surface import diameter_share, layer_of
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.calibration.grey.curve import (
@@ -111,6 +113,10 @@ def calibrate_depth(
         found = fit_depth(captures, options, assumed, scale_share=share)
     progress(TASK, 1, 1)
     lost = lost_blocks(base, on_captures)
+    if any(finding.code == BALL_OR_DIAMETER.code for finding in findings):
+        widest_mm = max(press.radius_px for press in found.presses) * captures.grid.mm_per_px_x
+        share = diameter_share(widest_mm, captures.ball_radius_mm, layer_of(base))
+        found = replace(found, ball_share=share)
     return replace(found, remarks=(*lost, *joined(findings, found.remarks)))
 
 

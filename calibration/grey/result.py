@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import with_captured_background
+from taccel_lab.calibration.ball_presses import with_captured_background, with_doubtful_ball
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import source_of
@@ -61,6 +61,9 @@ class DepthCalibration(BlockResult):
     """What depths are counted from (``DepthOptions``)."""
     captures: CaptureSet
     """The presses; their images are read on demand."""
+    ball_share: float = 0.0
+    """Standard deviation of depths, as a share of them, by a ball whose radius may be its diameter;
+    0 where that is told."""
     remarks: tuple[Remark, ...] = ()
 
     @property
@@ -121,14 +124,14 @@ class DepthCalibration(BlockResult):
             profile, captures.background, source, inputs["background"]
         )
         response = self.response
-        return profile.with_block(
+        return with_doubtful_ball(profile, self.ball_share).with_block(
             DepthResponseBlock(
                 channel=response.channel,
                 drop_levels=tuple(response.drop_levels.tolist()),
                 depth_mm=tuple(response.depth_mm.tolist()),
                 reading_sigma_mm=response.reading_sigma_mm,
                 zero_sigma_mm=response.zero_sigma_mm,
-                depth_share=response.depth_share,
+                depth_share=math.hypot(response.depth_share, self.ball_share),
                 provenance=calibrated(
                     self.remarks,
                     method=f"isotonic regression of depth on grey drop inside {len(self.presses)} "

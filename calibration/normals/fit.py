@@ -18,10 +18,12 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
+from taccel_lab.calibration.check.remarks import BALL_OR_DIAMETER
 from taccel_lab.calibration.check.run import joined
 from taccel_lab.calibration.circles.ball_surface import (
     BallSurface,
     depth_share,
+    diameter_share,
     layer_of,
     sunk_share,
 )
@@ -121,6 +123,9 @@ def calibrate_normals(
         thickness_share=by_gel,
         progress=progress,
     )
+    if any(finding.code == BALL_OR_DIAMETER.code for finding in presses.findings):
+        widest_mm = max(circle.radius_px for circle in circles) * training.grid.mm_per_px_x
+        found = replace(found, ball_share=diameter_share(widest_mm, training.ball_radius_mm, pad))
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
     return replace(
         found, circles=options.circles, gel=presses.gel, untouched=presses.untouched,

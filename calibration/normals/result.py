@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import ScoredFit, with_captured_background
+from taccel_lab.calibration.ball_presses import (
+    ScoredFit,
+    with_captured_background,
+    with_doubtful_ball,
+)
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.samples import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
@@ -50,6 +54,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """How the circles were chosen."""
     surfaces: str
     """What gave the normals of the sink-in."""
+    ball_share: float = 0.0
+    """Standard deviation of slopes and depths, as a share of them, by a ball whose radius may be
+    its diameter; 0 where that is told."""
 
     @property
     def train_names(self) -> tuple[str, ...]:
@@ -127,9 +134,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
             profile, self.scene.background, self.source, self.background_sha256
         )
         model = self.last.model
-        return profile.with_block(
-            NormalsBlock(architecture=model.config.to_dict(), provenance=self.evidence),
-            model.weights,
+        config = replace(model.config, unit_share=self.ball_share)
+        return with_doubtful_ball(profile, self.ball_share).with_block(
+            NormalsBlock(architecture=config.to_dict(), provenance=self.evidence), model.weights
         )
 
     @property

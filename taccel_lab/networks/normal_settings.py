@@ -88,8 +88,9 @@ class NormalModelConfig(NetworkSettings):
     """Contacts that it was fitted to, each column, row and radius [px]; empty in profiles that do
     not say."""
     unit_share: float = 0.0
-    """Standard deviation of slopes of another unit of the sensor than the one that was captured, as
-    a share of the tilt, and of the depths that they add up to; 0 of one's own."""
+    """Standard deviation of slopes, as a share of the tilt, and of the depths that they add up to,
+    by what the captures do not tell: of another unit of the sensor, or of a ball whose radius may
+    be its diameter; 0 where they do."""
     small_hidden: tuple[int, ...] = ()
     """Widths of the hidden layers of the small network that reads for the ensemble what it reads as
     well (``small_network``); empty where the ensemble reads all."""

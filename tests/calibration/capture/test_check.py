@@ -23,7 +23,16 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.signals.frame_operators import lost_rows
 from tests.calibration.drawn.faults import blur, drift
-from tests.support.capture_sets import HEIGHT, WIDTH, CaptureMaker, gel, press, spread_circles
+from tests.support.capture_sets import (
+    BALL_MM,
+    HEIGHT,
+    WIDTH,
+    CaptureMaker,
+    gel,
+    press,
+    spread_circles,
+)
+from tests.support.commands import run
 from tests.support.synthetic_presses import GRID
 
 FEW, SOME = spread_circles(4), spread_circles(8)
@@ -347,6 +356,23 @@ def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
     found = check_captures(few(spread_circles(6), radius_mm=stated, labelled=False).load(tmp_path))
     assert ("wrong_ball_radius" in by_code(found)) == (stated < 2.0)
     assert found.usable == ("ball_from_below" in by_code(found)) == (stated == 2.0)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("odd", [{"radius_px": 1.06}, {"u_px": 40.0}], ids=["wide", "outside"])
+def test_odd_labels_do_not_stop_the_check_of_the_ball(
+    tmp_path: Path, odd: dict[str, float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wider than the ball by what contacts are unsure by, or beside the image."""
+    maker = few(spread_circles(5))
+    if "radius_px" in odd:
+        odd = {"radius_px": odd["radius_px"] * BALL_MM / GRID.mm_per_px_x}
+    else:
+        odd = {"u_px": WIDTH + odd["u_px"]}
+    maker.labels[0] = replace(maker.labels[0], **odd)
+    folder = maker.write(tmp_path)
+    assert run("capture", "check", folder) in (0, 1)
+    assert "ball" in capsys.readouterr().out
 
 
 @pytest.mark.thorough
