@@ -215,10 +215,11 @@ def grey_light_sigma_mm(
         else np.array([float(name == response.channel) for name in names])
     )
     terms = light.terms(background)
-    variance = sum(
-        share**2 * np.einsum("khw,kl,lhw->hw", terms[..., c], light.covariance[c], terms[..., c])
-        for c, share in enumerate(shares)
-    )
+    variance = np.zeros(depth_mm.size)
+    for channel, share in enumerate(shares):
+        if share > 0:
+            each = terms[..., channel].reshape(len(terms), -1)
+            variance += share**2 * np.einsum("kp,kp->p", light.covariance[channel] @ each, each)
     drop = response.drop_of(depth_mm)
     per_level = response.depth_of(drop + 1.0) - response.depth_of(drop)
-    return per_level * np.sqrt(np.maximum(variance, 0.0))
+    return per_level * np.sqrt(np.maximum(variance, 0.0)).reshape(depth_mm.shape)

@@ -45,6 +45,8 @@ class GreyDepths:
     """Depths of a grey image."""
 
     depths: DepthMap
+    drop: np.ndarray
+    """Drops of grey that they are read from [levels], [h, w]."""
     remark: str = ""
     """Dirt that was taken off, a sentence."""
 
@@ -70,32 +72,29 @@ def grey_depths(
     import cv2
 
     drop = response.drop(levels, background)
+    if mask is not None:
+        drop = np.where(mask, drop, response.drop_levels[0])
     pixel_mm = math.sqrt(grid.mm_per_px_x * grid.mm_per_px_y)
     window_px, noise = _window(response, drop, LARGEST_SHARE * thickness_mm / pixel_mm)
     if window_px > 0:
         drop = cv2.GaussianBlur(drop, (0, 0), window_px)
-    found = response.of_drop(drop, mask)
+    found = response.of_drop(drop)
     specks = _specks(found.depth_mm, pixel_mm, thickness_mm)
     remark = ""
     if specks.any():
         remark = about_specks(specks, pixel_mm)
         wide = np.ones((2 * BESIDE_PX + 1,) * 2, np.uint8)
         specks = cv2.dilate(specks.astype(np.uint8), wide) > 0
-        found = response.of_drop(np.where(specks, response.drop_levels[0], drop), mask)
+        drop = np.where(specks, response.drop_levels[0], drop)
+        found = response.of_drop(drop)
     if noise > 0 and found.sigma_mm is not None and found.reading_sigma_mm is not None:
-        left_mm = noise * _mm_per_level(response)
+        left_mm = noise * response.mm_per_level
         found = replace(
             found,
             sigma_mm=np.hypot(found.sigma_mm, left_mm),
             reading_sigma_mm=np.hypot(found.reading_sigma_mm, left_mm),
         )
-    return GreyDepths(found, remark)
-
-
-def _mm_per_level(response: DepthResponse) -> float:
-    """Slope of the curve's first entries, which noise at rest is read by."""
-    at = min(3, len(response.drop_levels) - 1)
-    return float(response.depth_mm[at] / (response.drop_levels[at] - response.drop_levels[0]))
+    return GreyDepths(found, drop, remark)
 
 
 def _window(response: DepthResponse, drop: np.ndarray, most_px: float) -> tuple[float, float]:
@@ -103,7 +102,7 @@ def _window(response: DepthResponse, drop: np.ndarray, most_px: float) -> tuple[
     and the noise that is left beyond what the curve knows [levels]."""
     quiet = QUIET_LEVELS
     if response.reading_sigma_mm is not None:
-        quiet = QUIET_SHARE * response.reading_sigma_mm / max(_mm_per_level(response), 1e-9)
+        quiet = QUIET_SHARE * response.reading_sigma_mm / max(response.mm_per_level, 1e-9)
     noise = pixel_noise(drop)
     if noise <= quiet:
         return 0.0, 0.0

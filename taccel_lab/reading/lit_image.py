@@ -37,4 +37,6 @@ class LitImage:
     remark: str = ""
     """Which common change of all channels was taken off; empty where there was none."""
     dirt: str = ""
-    """Which specks were taken off, likewise."""
+    """Which specks, or fading light, likewise."""
+    feigned: float = 0.0
+    """Standard deviation of a grey sensor's depths, as a part of them, that light may feign."""

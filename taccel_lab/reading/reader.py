@@ -21,6 +21,13 @@ from taccel_lab.reading.blocks import LARGEST_PX, finest_px
 from taccel_lab.reading.colour_specks import colour_specks
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm, together
 from taccel_lab.reading.directions import directions_of_blocks, directions_of_heights
+from taccel_lab.reading.faded_light import (
+    FADED,
+    FEIGNED_SHARE,
+    MAYBE_FADED,
+    FadedLight,
+    faded_light,
+)
 from taccel_lab.reading.features import of_blocks
 from taccel_lab.reading.frame_judge import FrameJudge, JudgedFrame
 from taccel_lab.reading.grey import GreyDepths, about_specks, grey_depths
@@ -33,7 +40,7 @@ from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.rest import RestingPart, resting_part
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.reading.stage_clock import StageClock
-from taccel_lab.reading.touch import likely_touched, touch_of
+from taccel_lab.reading.touch import Touch, likely_touched, touch_of
 from taccel_lab.reading.whose import light_of_background
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
@@ -181,8 +188,8 @@ class Reader:
         untouched sensor are taken off.
 
         The first look takes a contact for an outlier. Where it finds one, the gel has sunk beside
-        it, and its light is fitted as that of a press. Where it finds specks, which is not asked of
-        what is not ``dirty``, they are taken off.
+        it, and its light is fitted as that of a press. Where it finds specks, or light that has
+        faded as beside no press, which is not asked of what is not ``dirty``, they are taken off.
         """
         self.clock.begin("light")
         frame = self.judge.frame(image) if isinstance(image, np.ndarray) else image
@@ -198,6 +205,17 @@ class Reader:
 
         first = shown(even.still)
         self.clock.begin("touch")
+        if self.response is not None:
+            grey = self._grey(first)
+            touch = touch_of(grey.depths.height_m, _metres(grey.depths.reading_sigma_mm), self.grid)
+            if not touch.any:
+                return replace(first, seen=grey)
+            faded = self._faded(grey, touch) if dirty else None
+            if faded is not None and faded.is_sure:
+                clear = frame.levels / faded.factor(self.response, self._bare)
+                return replace(self.lit(frame.with_levels(clear), dirty=False), dirt=FADED)
+            self.clock.begin("light")
+            return shown(even.pressed, feigned=0.0 if faded is None else FEIGNED_SHARE)
         dented, around, rest, seen = self._look(first)
         if dirty and around is not None and around.any():
             factor, pixel_mm = None if common is None else common.factor, self.grid.mm_per_px_x
@@ -228,14 +246,9 @@ class Reader:
 
     def _look(
         self, lit: LitImage
-    ) -> tuple[bool, np.ndarray | None, RestingPart | None, ReadHeights | GreyDepths | None]:
+    ) -> tuple[bool, np.ndarray | None, RestingPart | None, ReadHeights | None]:
         """Whether a coarse look at an image shows a contact, the blocks where one may be and those
         at rest (``LitImage``), and what it saw where there is none."""
-        if self.response is not None:
-            grey = self._grey(lit)
-            sigma_m = _metres(grey.depths.reading_sigma_mm)
-            dented = touch_of(grey.depths.height_m, sigma_m, self.grid).any
-            return dented, None, None, None if dented else grey
         found = self._heights(lit, LARGEST_PX)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
@@ -285,12 +298,18 @@ class Reader:
                 self.response, lit.light, self.background, found.depth_mm
             )
             sigma_m, alone_m = together(sigma_m, light_m), together(alone_m, light_m)
+        touch = touch_of(found.height_m, alone_m, self.grid)
+        said = grey.remark
+        if lit.feigned and touch.any and sigma_m is not None and alone_m is not None:
+            said = " ".join((said, MAYBE_FADED)).strip()
+            feigned_m = -lit.feigned * found.height_m
+            sigma_m, alone_m = together(sigma_m, feigned_m), together(alone_m, feigned_m)
         face_m = self.rest.height_m + found.height_m
         return self._reading(
             lit, name, found.height_m, sigma_m, alone_m,
             method="depth",
-            said=grey.remark,
-            touch=touch_of(found.height_m, alone_m, self.grid),
+            said=said,
+            touch=touch,
             directions=partial(directions_of_heights, face_m, self.grid),
             saturated=found.saturated,
         )  # fmt: skip
@@ -299,6 +318,13 @@ class Reader:
         assert self.response is not None
         thick_mm = self.profile.gel.thickness_mm
         return grey_depths(self.response, lit.levels, self._bare, self.grid, thick_mm, self.mask)
+
+    def _faded(self, grey: GreyDepths, touch: Touch) -> FadedLight | None:
+        """Light that may have faded where a touch is seen; None of a dome, whose law is another."""
+        if self._pressure is None or self.response is None:
+            return None
+        given = grey.depths, grey.drop, touch.pixels, self.grid
+        return faded_light(self.response, *given, self._pressure.layer)
 
     def _heights(self, lit: LitImage, every: int, *, uncertainty: bool = True) -> ReadHeights:
         assert self.normal_model is not None

@@ -106,13 +106,28 @@ class DepthResponse:
         """Depth [mm] of grey drops [levels], any shape."""
         return np.interp(drop_levels, self.drop_levels, self.depth_mm)
 
+    @property
+    def mm_per_level(self) -> float:
+        """Slope of the curve's first entries, which noise at rest, and gel that rises, are read
+        by."""
+        at = min(3, len(self.drop_levels) - 1)
+        return float(self.depth_mm[at] / (self.drop_levels[at] - self.drop_levels[0]))
+
+    def signed_depth_of(self, drop_levels: np.ndarray) -> np.ndarray:
+        """``depth_of``, and below 0 how far gel has risen that is brighter than at rest [mm]."""
+        above = np.minimum(drop_levels - self.drop_levels[0], 0.0)
+        return self.depth_of(drop_levels) + self.mm_per_level * above
+
     def sigma_of(self, drop_levels: np.ndarray) -> np.ndarray | None:
         """Standard deviation of these depths [mm], same shape; None where it is not known."""
+        return self._sigma_mm(drop_levels, self.depth_of(drop_levels))
+
+    def _sigma_mm(self, drop_levels: np.ndarray, depth_mm: np.ndarray) -> np.ndarray | None:
         if self.reading_sigma_mm is None:
             return None
         zero_mm = np.interp(drop_levels, self.drop_levels[:2], [0.0, self.zero_sigma_mm])
-        share_mm = self.depth_share * self.depth_of(drop_levels)
-        return np.hypot(self.reading_sigma_mm, np.hypot(zero_mm, share_mm))
+        share_mm = self.depth_share * depth_mm
+        return np.sqrt(self.reading_sigma_mm**2 + zero_mm**2 + share_mm**2)
 
     def drop_of(self, depth_mm: np.ndarray) -> np.ndarray:
         """Grey drop [levels] of depths [mm], any shape; the smallest one where the curve is level.
@@ -144,22 +159,26 @@ class DepthResponse:
         """Depths of drops [levels], [h, w]; masked pixels read as untouched."""
         if mask is not None:
             drop = np.where(mask, drop, self.drop_levels[0])
-        alone = self.reading_sigma_mm
+        alone, depth_mm = self.reading_sigma_mm, self.depth_of(drop)
         return DepthMap(
-            depth_mm=self.depth_of(drop),
+            depth_mm=depth_mm,
             saturated=drop > self.drop_levels[-1],
-            sigma_mm=self.sigma_of(drop),
+            sigma_mm=self._sigma_mm(drop, depth_mm),
             reading_sigma_mm=None if alone is None else np.full(drop.shape, alone),
         )
 
     def render(self, depth_mm: np.ndarray, background: np.ndarray) -> np.ndarray:
         """Image of a depth map [mm] on a background (RGB levels): all channels darken alike.
 
-        Float levels in 0..255, shape [..., height_px, width_px, 3].
+        Gel that rises beside a contact, of a depth below 0, is brighter, by the curve's first
+        slope. Float levels in 0..255, shape [..., height_px, width_px, 3].
         """
         depth_mm = np.asarray(depth_mm)
         if depth_mm.shape[-2:] != background.shape[:2]:
             raise InputError(
                 f"depth of shape {depth_mm.shape} does not fit the background {background.shape}"
             )
-        return np.clip(background - self.drop_of(depth_mm)[..., None], 0.0, 255.0)
+        drop = self.drop_of(depth_mm)
+        if self.mm_per_level > 0:
+            drop = drop + np.minimum(depth_mm, 0.0) / self.mm_per_level
+        return np.clip(background - drop[..., None], 0.0, 255.0)

@@ -163,6 +163,14 @@ def test_render_and_read_are_inverse(depths):
     assert found.height_m == pytest.approx(-1e-3 * depth, abs=1e-12)
 
 
+@given(st.lists(st.floats(-0.5, 1.9), min_size=1, max_size=30))
+def test_gel_that_rises_is_drawn_brighter(depths):
+    """Before, it was drawn as gel at rest."""
+    depth, background = np.array([depths]), np.full((1, len(depths), 3), 160.0)
+    drop = CURVE.drop(CURVE.render(depth, background), background)
+    assert CURVE.signed_depth_of(drop) == pytest.approx(depth, abs=1e-9)
+
+
 def test_brightening_reads_as_untouched_and_darkness_saturates():
     background = np.full((1, 3, 3), 100.0)
     image = background - np.array([-20.0, 30.0, 61.0])[None, :, None]
