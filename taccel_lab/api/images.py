@@ -53,6 +53,8 @@ def pixels_of(image: Any, name: str) -> tuple[np.ndarray, str]:
         )
     if levels.dtype.kind not in "uif":
         raise InputError(f"{name} holds no levels 0 to 255 but values of {levels.dtype}")
+    if levels.dtype.kind == "f" and not np.isfinite(levels).all():
+        raise InputError(f"{name} holds levels that are NaN or infinite; 0 to 255 are allowed")
     if levels.dtype != np.uint8 and levels.max(initial=0) <= 1:
         raise InputError(f"{name} holds levels from 0 to 1; multiply it by 255")
     return levels, name

@@ -19,7 +19,6 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, pressure_under
-from taccel_lab.reading.common_gain import MOST_SHADE
 from taccel_lab.reading.light import smoothed, unit_position
 from taccel_lab.signals.depth_response import DepthMap, DepthResponse, channel_of
 
@@ -43,6 +42,8 @@ LOOKS = 4
 BOWL = 0.8
 """Part of a change (sum of squares) that is quadratic over the image, from which on a tool as wide
 as the view may have made it: a ball of 200 mm, 0.2 mm deep, has 0.82, one of 100 mm 0.46."""
+MOST_FADED = 0.75, 1.33
+"""Limits of the factor that light may have faded by: what is darker is looked at as it is."""
 FEIGNED_SHARE = 0.3
 """Standard deviation of a depth, as a part of it, that light may feign: it may be 0."""
 FADED = (
@@ -74,7 +75,7 @@ class FadedLight:
     def factor(self, response: DepthResponse, untouched: np.ndarray) -> np.ndarray:
         """Factor of all channels of ``untouched``, RGB [h, w, 3], that it is, [h, w, 1]."""
         levels = np.maximum(channel_of(untouched, response.channel), 1.0)
-        return np.clip(1.0 - self.drop / levels, *MOST_SHADE)[..., None]
+        return np.clip(1.0 - self.drop / levels, *MOST_FADED)[..., None]
 
 
 def faded_light(
@@ -95,7 +96,7 @@ def faded_light(
         grid: Pixel grid of all.
         layer: The gel.
     """
-    if found.reading_sigma_mm is None:
+    if found.reading_sigma_mm is None or found.depth_mm.max() >= layer.thickness_mm:
         return None
     step_mm = STEP_SHARE * layer.thickness_mm
     sides = (grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)

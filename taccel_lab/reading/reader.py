@@ -74,7 +74,8 @@ class Reader:
             background_name: How an error calls ``background``, such as by its file.
             device: Of torch, on which colours are read to normals and heights.
         """
-        self.profile, self.mask = profile, mask
+        self.profile = profile
+        self.mask = None if mask is None or mask.all() else mask
         self.method = self._chosen(method)
         untouched = profile.untouched(background, background_name).astype(np.float32)
         self.grid = profile.grid()
@@ -99,7 +100,7 @@ class Reader:
                 )
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self.judge = FrameJudge(self.untouched, mask)
+        self.judge = FrameJudge(self.untouched, self.mask)
         """Tells frames that are not to be read, and their light."""
         self._bare = self.background
         if self.judge.dots is not None:
@@ -210,8 +211,8 @@ class Reader:
             touch = touch_of(grey.depths.height_m, _metres(grey.depths.reading_sigma_mm), self.grid)
             if not touch.any:
                 return replace(first, seen=grey)
-            faded = self._faded(grey, touch) if dirty else None
-            if faded is not None and faded.is_sure:
+            faded = self._faded(grey, touch)
+            if dirty and faded is not None and faded.is_sure:
                 clear = frame.levels / faded.factor(self.response, self._bare)
                 return replace(self.lit(frame.with_levels(clear), dirty=False), dirt=FADED)
             self.clock.begin("light")

@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
+from taccel_lab.errors import InputError
 from taccel_lab.reading.light import LightDrift, LightFit
 from taccel_lab.reading.thumb import SmallImage, resized
 
@@ -96,10 +97,10 @@ def not_of(known: SmallImage, seen: SmallImage, light: LightDrift) -> str | None
     its own against that."""
     known, seen = known.blocks, seen.blocks
     usable = known.usable & seen.usable
+    if _is_plain(seen.levels[usable]) and not _is_plain(known.levels[usable]):
+        return "it is of one colour"
     gain = np.asarray(light.gain, dtype=float)
     if not ((gain > LEAST_GAIN) & (gain < MOST_GAIN)).all():
-        if np.ptp(seen.levels[usable], axis=0).max() < 1.0:
-            return "it is of one colour"
         return (
             f"its light is {gain.min():.2g} to {gain.max():.2g} times the background's in the "
             f"channels; {LEAST_GAIN:g} to {MOST_GAIN:g} can be read"
@@ -122,6 +123,11 @@ def not_of(known: SmallImage, seen: SmallImage, light: LightDrift) -> str | None
     return None
 
 
+def _is_plain(levels: np.ndarray) -> bool:
+    """Whether blocks, [n, 3], are of one colour."""
+    return len(levels) > 0 and float(np.ptp(levels, axis=0).max()) < 1.0
+
+
 def _off(levels: np.ndarray, known: np.ndarray, where: np.ndarray) -> float:
     """Largest difference of a channel, of the quarter of blocks [h, w, 3] nearest to the
     background's ones, of those ``where`` asked; 0 where there are none."""
@@ -136,10 +142,15 @@ def light_of_background(
 
     Of one gel on two days it is gain, offset and gradient. Of another unit, whose lamps throw
     another pattern, it is the gain of each channel's mean: a lamp that is brighter by a part makes
-    the untouched gel and the colours of a slope brighter by that part.
+    the untouched gel and the colours of a slope brighter by that part. InputError of a picture that
+    is black or white all over.
     """
     seen, old = (SmallImage.of(image, mask) for image in (background, known))
     counted = seen.usable
+    if _is_plain(seen.levels[counted]) and not 1.0 < seen.levels[counted].mean() < 254.0:
+        raise InputError(
+            "the background is black or white all over; give an image of the untouched sensor"
+        )
     means = [small.levels[counted].mean(axis=0) for small in (seen, old)]
     ratio = np.maximum(means[0], 1.0) / np.maximum(means[1], 1.0)
     # What a background does not tell, an even one above all, is a lamp's brightness, not an offset.
