@@ -38,6 +38,9 @@ class PictureFigures:
     """Whether red and green, green and blue, and blue and red agree."""
     levels_kept: float
     """Least share over the channels of the levels in use."""
+    fine_levels: float
+    """Amplitude at wavelengths of three to five pixels, noise above all [levels]; NaN of a picture
+    too small to tell."""
     is_enlarged: bool
     """Whether it has no detail of single pixels, or repeats them."""
 
@@ -52,7 +55,11 @@ class PictureFigures:
         ]
         spread = small.reshape(-1, 3).std(axis=0)
         kept = min(map(_levels_kept, channels))
-        return cls(spread, (copies[0], copies[1], copies[2]), kept, _is_enlarged(image))
+        image = _middle(image)
+        smooth, fine = _detail(image)
+        bare = smooth > SMOOTH_LEVELS and fine < DETAIL_LEVELS
+        enlarged = bare or _repeats_lines(image)
+        return cls(spread, (copies[0], copies[1], copies[2]), kept, fine, enlarged)
 
     @property
     def dead(self) -> tuple[str, ...]:
@@ -76,25 +83,28 @@ def _middle(image: np.ndarray) -> np.ndarray:
     return image[top : top + MIDDLE_PX, left : left + MIDDLE_PX]
 
 
-def _is_enlarged(image: np.ndarray) -> bool:
-    """Whether a picture has no detail of single pixels, or repeats them."""
-    image = _middle(image)
-    grey = image.mean(axis=-1, dtype=np.float32)
-    height, width = grey.shape
+def _repeats_lines(image: np.ndarray) -> bool:
+    """Whether nearly all changes of a picture lie at the borders of larger pixels."""
     rows = (image[1:] != image[:-1]).any(axis=(1, 2)).astype(int)
     columns = (image[:, 1:] != image[:, :-1]).any(axis=(0, 2)).astype(int)
-    for lines in (rows, columns):
-        if lines.any() and any(
-            max(lines[k::step].sum() for k in range(step)) > AT_STEPS * lines.sum()
-            for step in range(2, LARGEST_STEP + 1)
-        ):
-            return True
-    if min(height, width) < LEAST_PX:
-        return False
-    window, bands = _bands(height, width)
+    return any(
+        max(lines[k::step].sum() for k in range(step)) > AT_STEPS * lines.sum()
+        for lines in (rows, columns)
+        if lines.any()
+        for step in range(2, LARGEST_STEP + 1)
+    )
+
+
+def _detail(image: np.ndarray) -> tuple[float, float]:
+    """Amplitudes at wavelengths of 10 to 20 pixels and of three to five [levels]; NaN of a picture
+    too small to tell."""
+    if min(image.shape[:2]) < LEAST_PX:
+        return np.nan, np.nan
+    grey = image.mean(axis=-1, dtype=np.float32)
+    window, bands = _bands(*grey.shape)
     spectrum = cv2.dft((grey - grey.mean()) * window, flags=cv2.DFT_COMPLEX_OUTPUT)
     smooth, fine = (float(np.sqrt(np.square(spectrum[band]).sum(axis=-1).mean())) for band in bands)
-    return smooth > SMOOTH_LEVELS and fine < DETAIL_LEVELS
+    return smooth, fine
 
 
 @cache

@@ -124,6 +124,13 @@ ENLARGED = warning(
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
+TONE_CURVE = warning(
+    "tone_curve",
+    "{bad} of {count} presses ({names}) have another tone curve than {than}: {how}. Switch HDR, "
+    "gamma, contrast and room light off",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
 SIDES_EXCHANGED = warning(
     "sides_exchanged",
     "{bad} of {count} presses ({names}) fit the background {how}",

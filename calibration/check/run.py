@@ -25,7 +25,7 @@ from taccel_lab.calibration.check.content import (
 )
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
-from taccel_lab.calibration.check.pictures import check_pictures
+from taccel_lab.calibration.check.pictures import check_pictures, check_tone
 from taccel_lab.calibration.check.presses import (
     check_contacts,
     found_circles,
@@ -208,6 +208,7 @@ def press_findings(
     findings = [
         *check_light(frames, small, grid),
         *check_pictures(frames, background.image),
+        *([] if background.findings else check_tone(frames)),
         *check_contacts(frames, grid),
         *_ball_findings(folder, frames, grid, None if facts is None else facts.thickness_mm),
     ]

@@ -15,12 +15,16 @@ import pytest
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.captures import CapturedPress, Frame
 from taccel_lab.calibration.check import check_captures
+from taccel_lab.files.images import read_image
 from taccel_lab.report.remark import Severity
 from tests.support.capture_sets import CaptureMaker, spread_circles
-from tests.support.real_data import labelled_presses
+from tests.support.real_data import real_data
 
 Spoil = Callable[[np.ndarray], np.ndarray]
-CODES = {"channel_dead", "channels_equal", "levels_missing", "enlarged", "sides_exchanged"}
+CODES = {
+    "channel_dead", "channels_equal", "levels_missing", "enlarged", "sides_exchanged", "tone_curve",
+    "lamps_reversed",
+}  # fmt: skip
 
 
 def green_dead(image: np.ndarray) -> np.ndarray:
@@ -45,6 +49,22 @@ def enlarged(image: np.ndarray, how: int = cv2.INTER_LINEAR) -> np.ndarray:
     return cv2.resize(small, (width, height), interpolation=how)
 
 
+def brightened(image: np.ndarray) -> np.ndarray:
+    """Shadows lifted, as a gamma of 0.5 does."""
+    return np.rint(np.sqrt(255.0 * image)).astype(np.uint8)
+
+
+def local_contrast(image: np.ndarray) -> np.ndarray:
+    """Brightness spread out by what is near, as programs for HDR do."""
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
+    lab[..., 0] = cv2.createCLAHE(3.0, (8, 8)).apply(np.ascontiguousarray(lab[..., 0]))
+    return cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)
+
+
+def mirrored(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
 def turned(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image[::-1, ::-1])
 
@@ -56,7 +76,16 @@ WHOLE: dict[str, tuple[Spoil, str]] = {
     "linear": (enlarged, "enlarged"),
     "nearest": (partial(enlarged, how=cv2.INTER_NEAREST), "enlarged"),
 }
-ONE = {**WHOLE, "grey": (saved_grey, "channels_equal"), "turned": (turned, "sides_exchanged")}
+TONED: dict[str, tuple[Spoil, str]] = {
+    "gamma": (brightened, "tone_curve"),
+    "contrast": (local_contrast, "tone_curve"),
+}
+ONE = {
+    **WHOLE,
+    **TONED,
+    "grey": (saved_grey, "channels_equal"),
+    "turned": (turned, "sides_exchanged"),
+}
 
 
 def spoilt(folder: CaptureFolder, how: Spoil, which: slice, background: bool) -> CaptureFolder:
@@ -102,21 +131,55 @@ def test_sound_and_honestly_grey_pictures_pass(tmp_path: Path) -> None:
     assert not said(spoilt(folder, saved_grey, slice(None), background=True))
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("name", "labels", "background"),
-    [
-        ("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png"),
-        ("gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png"),
-    ],
-)
-def test_real_presses(tmp_path: Path, name: str, labels: str, background: str) -> None:
-    captures = labelled_presses(name, labels, background, 2.92, 0.05926)
-    folder = CaptureFolder(
-        source=name, root=tmp_path, sensor="flat_pad", unit=None, untouched=(), mask=None,
-        background=Frame("background", name, "0" * 64, partial(np.copy, captures.background)),
-        mm_per_px=None, ball_radius_mm=2.92, presses=captures.presses[:4],
+SETS = {
+    "fots_calib/mlp_calib/gelsight/*.png": ("fots_calib/mlp_calib/0000.png", "flat_pad"),
+    "gelsight_rvsathu_sim2real/calib_*.png": (
+        "gelsight_rvsathu_sim2real/background_real.png", "flat_pad",
+    ),
+    "fots_calib/mlp_calib/digit/*.png": ("fots_calib/assets/gel/digit_bg.png", "digit"),
+    "gelslim_mcubelab/updated_calib/sample_*.jpg": (
+        "gelslim_mcubelab/updated_calib/ref.jpg", "flat_pad",
+    ),
+    "gsmini_ruihangao_calib/calib_ball/frame_*.jpg": (None, "gelsight_mini"),
+}  # fmt: skip
+FAST = 2
+
+
+def real_folder(pattern: str, root: Path) -> CaptureFolder:
+    """Four presses of a set without labels; the median stands for a background that it lacks."""
+    background, sensor = SETS[pattern]
+    place = real_data(str(Path(pattern).parent))
+    paths = [path for path in sorted(place.glob(Path(pattern).name)) if path.stem != "frame_0"]
+    if background is None:
+        image = np.median([read_image(path) for path in paths[::2]], axis=0).astype(np.uint8)
+    else:
+        image = read_image(real_data(background))
+    picked = paths[:: max(1, len(paths) // 4)][:4]
+    return CaptureFolder(
+        source=pattern, root=root, sensor=sensor, unit=None, untouched=(), mask=None,
+        background=Frame("background", pattern, "0" * 64, partial(np.copy, image)),
+        mm_per_px=None, ball_radius_mm=None,
+        presses=tuple(
+            CapturedPress(path.stem, str(path), f"{k:064}", partial(read_image, path))
+            for k, path in enumerate(picked)
+        ),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("pattern", [
+    pytest.param(pattern, marks=pytest.mark.thorough if k < FAST else pytest.mark.slow)
+    for k, pattern in enumerate(SETS)
+])  # fmt: skip
+def test_real_sets(tmp_path: Path, pattern: str) -> None:
+    folder = real_folder(pattern, tmp_path)
     assert not said(folder)
     for how, code in WHOLE.values():
-        assert code in said(spoilt(folder, how, slice(None), background=True))
+        found = said(spoilt(folder, how, slice(None), background=True))
+        assert found[code][0] == Severity.ERROR
+    for how, code in TONED.values():
+        # A set that is toned as a whole is learnt and read so.
+        assert code not in said(spoilt(folder, how, slice(None), background=True))
+        found = said(spoilt(folder, how, slice(2, 3), background=False))
+        assert found[code] == (Severity.WARNING, (folder.presses[2].name,))
+    reversed_lamps = said(spoilt(folder, mirrored, slice(None), background=True))
+    assert ("lamps_reversed" in reversed_lamps) == (folder.sensor != "flat_pad")
