@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.check.picture_figures import PictureFigures
+from taccel_lab.calibration.check.picture_figures import PictureFigures, mean_of_channels
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
@@ -88,10 +88,13 @@ def measure_presses(
 ) -> list[FrameFigures]:
     """Figures of every press against a background of the same framing (RGB uint8), of a ``grey``
     sensor by the channel that darkens with depth."""
-    known = SmallImage.of(background)
+    known, size = SmallImage.of(background), WorkingSize(grid)
+    worked = size.picture(background)
     measure = partial(
         _measure,
         background=background,
+        worked=worked,
+        known_grain=grain(worked),
         rest=known.levels,
         fit=LightFit(known),
         mask=mask,
@@ -106,12 +109,15 @@ def measure_presses(
 def _measure(
     press: CapturedPress,
     background: np.ndarray,
+    worked: np.ndarray,
+    known_grain: np.ndarray,
     rest: np.ndarray,
     fit: LightFit,
     mask: np.ndarray | None,
     grid: PixelGrid,
     grey: Channel | None,
 ) -> FrameFigures:
+    """Figures of one press; ``worked`` is the background at the working size, with its grain."""
     image = press.image()
     small = SmallImage.of(image)
     light = fit.still(small)
@@ -121,7 +127,7 @@ def _measure(
     circle = contact.circle if contact is not None else press.circle
     size = WorkingSize(grid)
     saturated = size.picture((image.max(axis=-1) >= SATURATED_LEVEL).astype(np.float32))
-    image, background = size.picture(image), size.picture(background)
+    image = size.picture(image)
     mask = size.mask(mask)
     disc = np.ones(image.shape[:2], dtype=bool) if mask is None else mask.copy()
     beside = disc.copy()
@@ -131,11 +137,11 @@ def _measure(
         distance = own.distance_px(size.grid)
         disc &= distance <= own.radius_px
         beside &= distance > UNTOUCHED_RADII * own.radius_px
-        lit = np.clip(light.apply(background), 0, 255).astype(np.float32)
+        lit = np.clip(light.apply(worked), 0, 255).astype(np.float32)
         change = image.astype(np.float32) - lit
         rim = size.factor * _rim_width(change, distance, own.radius_px)
         lamps = _lamp_slopes(change, distance, own)
-    texture, correlation = texture_seen(image, background, beside)
+    texture, correlation = texture_seen(grain(image), known_grain, beside)
     return FrameFigures(
         press=press,
         thumb=small.levels,
@@ -156,23 +162,22 @@ def _measure(
     )
 
 
-def texture_seen(
-    image: np.ndarray, background: np.ndarray, beside: np.ndarray
-) -> tuple[float, float]:
-    """Regression of the image's fine structure on the background's, and their correlation.
+def texture_seen(seen: np.ndarray, known: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
+    """Regression of an image's ``grain`` on the background's, and their correlation.
 
     Camera noise is not shared between the two, so that it does not count as sharpness, as it does
     in the variance of the Laplacian.
     """
-    a, b = (_fine(picture)[beside] for picture in (background, image))
+    a, b = known[beside], seen[beside]
     if a.size < 500 or not a.std() > 0 or not b.std() > 0:
         return float("nan"), 0.0
     shared = float((a * b).mean() - a.mean() * b.mean())
     return shared / float(a.var()), shared / float(a.std() * b.std())
 
 
-def _fine(image: np.ndarray) -> np.ndarray:
-    grey = image.astype(np.float32).mean(axis=-1)
+def grain(image: np.ndarray) -> np.ndarray:
+    """Fine structure of an image [levels], shape [height_px, width_px]."""
+    grey = mean_of_channels(image)
     return grey - cv2.GaussianBlur(grey, (0, 0), TEXTURE_SIGMA_PX)
 
 

@@ -124,12 +124,12 @@ def _check_sides(frames: Sequence[FrameFigures]) -> list[Remark]:
     reversed_lamps = {
         name for name, turn in turns.items() if abs(usual) > HANDED and -turn / usual > MIRRORED
     }
+    shape = (frames[0].rest.shape[0], frames[0].rest.shape[1])
+    known = SmallImage(frames[0].rest, None, shape)
     for frame in frames:
-        shape = (frame.thumb.shape[0], frame.thumb.shape[1])
-        known, seen = (SmallImage(levels, None, shape) for levels in (frame.rest, frame.thumb))
-        why = not_of(known, seen, frame.light) or ""
         if all(frame.picture.copies):  # Without colours the sides of many sensors are alike.
             continue
+        why = not_of(known, SmallImage(frame.thumb, None, shape), frame.light) or ""
         if "turned" in why or "mirrored" in why:
             told.setdefault(why.removeprefix("it fits the background "), []).append(
                 frame.press.name

@@ -15,7 +15,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import ControlLock, Shot
 from taccel_lab.calibration.check.background import DARK_LEVELS
-from taccel_lab.calibration.check.frames import SATURATED_LEVEL, texture_seen
+from taccel_lab.calibration.check.frames import SATURATED_LEVEL, grain, texture_seen
 from taccel_lab.calibration.check.light import SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
 from taccel_lab.calibration.light_drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
@@ -125,7 +125,8 @@ def saturation_lamp(image: np.ndarray, touched: np.ndarray | None) -> Lamp:
 def blur_lamp(image: np.ndarray, background: np.ndarray) -> Lamp:
     """Whether the untouched gel's fine texture shows as it does in the background, both RGB
     [h, w, 3]."""
-    seen, correlation = texture_seen(image, background, np.ones(image.shape[:2], dtype=bool))
+    everywhere = np.ones(image.shape[:2], dtype=bool)
+    seen, correlation = texture_seen(grain(image), grain(background), everywhere)
     if not np.isfinite(seen) or (correlation < USEFUL_TEXTURE and seen > BLUR_TEXTURE):
         return Lamp("blur", "unknown", "this gel shows no texture by which blur could be seen")
     if seen < BLUR_TEXTURE:
