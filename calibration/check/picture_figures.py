@@ -111,10 +111,7 @@ def _detail(grey: np.ndarray) -> tuple[float, float]:
         return np.nan, np.nan
     window, bands = _bands(*grey.shape)
     spectrum = np.asarray(rfft2((grey - grey.mean()) * window)).ravel()
-    smooth, fine = (
-        float(np.sqrt(np.mean(part.real**2 + part.imag**2)))
-        for part in (spectrum[band] for band in bands)
-    )
+    smooth, fine = (float(np.sqrt(np.square(np.abs(spectrum[band])).mean())) for band in bands)
     return smooth, fine
 
 
