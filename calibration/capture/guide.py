@@ -262,7 +262,7 @@ def _manifest(facts: SensorFacts, radius_mm: float, punch_mm: float) -> str:
         "# thickness_mm = 4.0   # of the gel; taccel-lab sensors show lists the names",
         "",
         "[indenter]",
-        f"radius_mm = {radius_mm:g}    # measure it: half of what the callipers say",
+        f"diameter_mm = {2 * radius_mm:g}    # what the callipers say",
         "",
         "[[presses]]    # one for each ball press",
         'image = "press_000.png"',

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import threading
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -138,6 +139,9 @@ def test_guide_writes_a_manifest(here: Path, cli: Cli) -> None:
     assert "minutes in all" in out and "Board of dots" in out
     assert 'sensor = "9dtact"' in (here / "new.toml").read_text()
     assert cli.json("capture guide digit_360")["minutes"] < 60
+    # What is measured, and can be taken for nothing else.
+    indenter = tomllib.loads((here / "new.toml").read_text(encoding="utf-8"))["indenter"]
+    assert indenter["diameter_mm"] > 0 and "radius_mm" not in indenter
 
 
 def test_devices_are_listed(cli: Cli) -> None:
