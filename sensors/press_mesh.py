@@ -29,6 +29,7 @@ from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.bisection import bisected
+from taccel_lab.geometry.contact_sweep import AT_REST, ContactSweep
 from taccel_lab.geometry.press_mesh_options import (
     DEFAULT_PRESS_MESH,
     OutlineMeshOptions,
@@ -73,16 +74,18 @@ def press_mesh(
     at_mm: tuple[float, float],
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
+    sweep: ContactSweep = AT_REST,
 ) -> TetMesh:
     """Gel pad of a catalogue sensor, graded around the contact at gel xy ``at_mm``.
 
     ``contact`` is a ball's contact radius [mm] or the section of another tool, see
     ``Indenter.contact``. All meshes of the same options and kind of contact share tets, faces
-    and regions bitwise, whatever the place. Raises InputError for an unknown family or a place too
-    close to the pad's edge.
+    and regions bitwise, whatever the place. ``sweep`` is the contact's way from there: a ball's
+    mesh is made about its middle, rows of nodes under rims lie where it ends. Raises InputError
+    for an unknown family or a place too close to the pad's edge.
     """
     found = sensor_family(family)
-    return pad_press_mesh(found.parameters(parameters).pad(), at_mm, contact, options)
+    return pad_press_mesh(found.parameters(parameters).pad(), at_mm, contact, options, sweep)
 
 
 def profile_press_mesh(
@@ -91,12 +94,13 @@ def profile_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
     refinement: float = 1.0,
+    sweep: ContactSweep = AT_REST,
 ) -> TetMesh:
     """Meshes a profile as ``press_mesh``, with more rings and layers where a ball's contact is
-    small beside the pad: connectivity depends on the contact, too. Then with ``refinement`` times
-    as many elements along every side."""
+    small beside the pad, near its edge or moves far: connectivity depends on the contact, too. Then
+    with ``refinement`` times as many elements along every side."""
     pad = profile_parameters(profile).pad()
-    return refined_press_mesh(pad, at_mm, contact, options, refinement)
+    return refined_press_mesh(pad, at_mm, contact, options, refinement, sweep)
 
 
 def refined_press_mesh(
@@ -105,15 +109,19 @@ def refined_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
     refinement: float = 1.0,
+    sweep: ContactSweep = AT_REST,
 ) -> TetMesh:
     """Meshes a pad as ``profile_press_mesh``."""
     if isinstance(pad, HeightPad) and not isinstance(contact, ToolSection) and contact > 0:
         low, high = pad.outline.bounds_mm()
         radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
         options = options.for_ball(radius, pad.thickness_mm, 0.5 * float((high - low).mean()))
+        ends = np.asarray(at_mm, dtype=np.float64) + np.stack([np.zeros(2), sweep.way_mm])
+        options = options.for_edge(radius, float(pad.inside_distance_mm(ends).min()))
+        options = options.for_sweep(radius, sweep.length_mm)
     if refinement != 1.0:
         options = options.refined(refinement)
-    return pad_press_mesh(pad, at_mm, contact, options)
+    return pad_press_mesh(pad, at_mm, contact, options, sweep)
 
 
 def _bisected_around(
@@ -121,16 +129,20 @@ def _bisected_around(
     at_mm: tuple[float, float],
     contact: float | ToolSection,
     options: PressMeshOptions,
+    sweep: ContactSweep,
 ) -> TetMesh:
-    """Tets as small as ``options`` asks for at the contact, growing with the distance."""
+    """Tets as small as ``options`` asks for wherever the contact comes, growing with the
+    distance."""
     place = np.asarray(at_mm, dtype=np.float64)
     if isinstance(contact, ToolSection):
+        contact = contact.moved(sweep)
         outline = thickened_hull(contact.outline_mm, 2 * LEAST_CONTACT_MM) + place
         middle = centroid(outline)
         # Half of the narrower side: what an edge is as wide as.
         radius = float(np.abs(outline - middle).max(axis=0).min())
     else:
-        outline, radius = place[None], float(contact)
+        outline = place + np.stack([np.zeros(2), sweep.way_mm])[: 1 + (sweep.length_mm > 0)]
+        radius = float(contact)
     if not radius > 0:
         raise InputError(f"a contact's radius must be above 0 mm, got {radius:g}")
     top = 1e3 * mesh.nodes_m[mesh.region_nodes(Region.CONTACT)]
@@ -145,7 +157,7 @@ def _bisected_around(
     size = BISECTED_EDGES * radius / options.elements_per_radius
     fine = (BISECTED_RADII - 1.0) * radius
     sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
-    ball = radius if len(outline) == 1 else 0.0
+    ball = 0.0 if isinstance(contact, ToolSection) else radius
 
     def sizes_m(points_m: np.ndarray) -> np.ndarray:
         points = 1e3 * points_m
@@ -174,15 +186,18 @@ def pad_press_mesh(
     at_mm: tuple[float, float],
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
+    sweep: ContactSweep = AT_REST,
 ) -> TetMesh:
     """Meshes as ``press_mesh`` a pad that need not be in the catalogue.
 
     The tets of a pad that is a mesh are bisected around the contact, which keeps no connectivity.
     """
     if isinstance(pad, MeshPad):
-        return _bisected_around(pad.mesh, at_mm, contact, options)
+        return _bisected_around(pad.mesh, at_mm, contact, options, sweep)
     if not isinstance(contact, ToolSection):
-        return _around_a_ball(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
+        x, y = np.asarray(at_mm, dtype=np.float64) + 0.5 * sweep.way_mm
+        return _around_a_ball(pad, _disc_focus((x, y), contact, pad.thickness_mm, options))
+    contact = contact.moved(sweep)
     outline = options.outline if contact.filled >= LEAST_FILLED else options.scattered
     focus = _outline_focus(at_mm, contact, pad, options, outline)
     # Columns of a dome stand on its sphere and have no lean.

@@ -17,6 +17,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
+from taccel_lab.presses.press_sweep import press_sweep
 from taccel_lab.presses.touch import check_depth
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
@@ -29,7 +30,7 @@ from taccel_lab.sensors.registry import profile_sensor
 from taccel_lab.signals.color_model import ColorModel
 
 if TYPE_CHECKING:
-    from taccel_lab.presses import Indenter, PressPhysics
+    from taccel_lab.presses import Indenter, PressPath, PressPhysics
     from taccel_lab.presses.press_outcome import FurtherView
     from taccel_lab.profile import SensorProfile
 
@@ -124,7 +125,13 @@ class PressPlan:
     @cached_property
     def gel(self) -> TetMesh:
         """Mesh of the first press, in the gel frame [m]."""
-        return self._meshed(self.physics, self.first_mm)
+        path = self.options.path(self.first_mm)
+        return self._meshed(self.near(self.physics, path, self.friction), path)
+
+    def near(self, physics: PressPhysics, path: PressPath, friction: float) -> PressPhysics:
+        """Physics of a press along a path; a contact range that was asked for stays."""
+        near = physics.of_press(path.depth_mm, friction, self.profile.material.poisson_ratio)
+        return near if self.options.dhat_mm is None else replace(near, dhat_m=physics.dhat_m)
 
     def write_scene(self, folder: Path, call: Call = at_once) -> Path:
         """Draw what is about to be pressed, which compiles nothing; returns the picture, which is
@@ -149,20 +156,29 @@ class PressPlan:
             found[name] = FurtherView(camera, rest_surface(self.profile.mesh, face_of(camera)))
         return found
 
-    def mesh_for(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
-        """Mesh of a press to a depth [mm], in the gel frame [m], with ``refinement`` times as many
+    def mesh_for(self, physics: PressPhysics, path: PressPath, refinement: float = 1.0) -> TetMesh:
+        """Mesh of a press along a path, in the gel frame [m], with ``refinement`` times as many
         elements along every side as ``physics`` says."""
-        same = physics.mesh == self.physics.mesh and refinement == 1.0
-        first = same and depth_mm == self.first_mm
-        return self.gel if first else self._meshed(physics, depth_mm, refinement)
+        first = self.options.path(self.first_mm)
+        usual = self.near(self.physics, first, self.friction).mesh
+        if (path, refinement, physics.mesh) == (first, 1.0, usual):
+            return self.gel
+        return self._meshed(physics, path, refinement)
 
-    def _meshed(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
+    def _meshed(self, physics: PressPhysics, path: PressPath, refinement: float = 1.0) -> TetMesh:
         if self.options.mesh == "profile":
             return self.profile.mesh
         try:
-            contact = self.indenter.contact(depth_mm)
+            contact = self.indenter.contact(path.depth_mm)
+            sweep = press_sweep(
+                path,
+                contact,
+                self.friction,
+                self.profile.gel.thickness_mm,
+                self.profile.material.poisson_ratio,
+            )
             return profile_press_mesh(
-                self.profile, self.options.at_mm, contact, physics.mesh, refinement
+                self.profile, self.options.at_mm, contact, physics.mesh, refinement, sweep
             )
         except InputError as error:
             x, y = self.options.at_mm

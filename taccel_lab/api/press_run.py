@@ -88,7 +88,12 @@ class PressRun(PressPlan):
         from taccel_lab.api.press_page import write_press_page
         from taccel_lab.api.press_result import Press
         from taccel_lab.presses import press_to_force
-        from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
+        from taccel_lab.presses.measured_press import (
+            AS_IT_IS,
+            BESIDE,
+            Resolution,
+            measured_press,
+        )
         from taccel_lab.presses.press_force import ROUGH_TOLERANCE
 
         started = time.perf_counter()
@@ -147,6 +152,7 @@ class PressRun(PressPlan):
                     lambda at: simulate(path, progress, at),
                     run.physics,
                     run.indenter.shape,
+                    friction=run.friction,
                     remembers=run.remembers,
                     asked=options.asked_share,
                     levels=options.levels,
@@ -155,7 +161,7 @@ class PressRun(PressPlan):
                 at = Resolution.of(error.level, run.remembers)
                 if run.is_friction_doubtful and below is not None:
                     with suppress(SimulationError):
-                        smooth = simulate(path, None, Resolution.of(-1), friction=0.0)
+                        smooth = simulate(path, None, BESIDE, friction=0.0)
                         slippery = smooth.force_n / below.force_n
             if options.force_n is not None:
                 # What the resolution adds to a force it adds at a depth near by too.
@@ -186,7 +192,8 @@ class PressRun(PressPlan):
 
         # One below the options' resolution stands beside them and is nobody's result.
         beside = at.mesh < 1
-        gel = self.mesh_for(physics, path.depth_mm, at.mesh)
+        physics = self.near(physics, path, friction)
+        gel = self.mesh_for(physics, path, at.mesh)
         material = profile_material(self.profile.material, gel)
         main, *further = self._views.items()
         outcome = simulate_press(
@@ -204,6 +211,7 @@ class PressRun(PressPlan):
             keep_states=self.options.states and not beside,
             stopped=None if beside else finished.append,
             views={} if beside else dict(further),
+            with_fewer_steps=beside and self.remembers,
         )
         if not beside:
             finished.append(outcome)

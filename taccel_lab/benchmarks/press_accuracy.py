@@ -41,7 +41,7 @@ from taccel_lab.presses import (
     parse_indenter,
     simulate_press,
 )
-from taccel_lab.presses.measured_press import FINER, Resolution, measured_press
+from taccel_lab.presses.measured_press import BESIDE, FINER, Resolution, measured_press
 from taccel_lab.presses.physics import parse_accuracy
 from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
@@ -203,6 +203,7 @@ def triangle_prism(side_m: float = 5e-3, height_m: float = 3e-3) -> TriangleMesh
 def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -> PressOutcome:
     """Press; SimulationError without convergence."""
     indenter, parameters = case.indenter(), case.parameters()
+    physics = physics.of_press(case.depth_mm, case.friction, case.poisson_ratio)
     contact = indenter.contact(case.depth_mm)
     mesh = refined_press_mesh(parameters.pad(), AT_MM, contact, physics.mesh, at.mesh)
     branches = tuple(MaxwellBranch(*branch) for branch in case.branches)
@@ -222,6 +223,7 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
         friction_coefficient=case.friction,
         physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
         device=device,
+        with_fewer_steps=at == BESIDE and case.remembers,
     )
 
 
@@ -235,6 +237,7 @@ def measured_case(case: PressCase, accuracy: str, device: str) -> tuple[dict[str
         lambda at: press(case, physics, at, device),
         physics,
         case.indenter().shape,
+        friction=case.friction,
         remembers=case.remembers,
         asked=None if isinstance(asked, Accuracy) else asked,
         levels=LEVELS,

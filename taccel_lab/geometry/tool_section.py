@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.contact_sweep import ContactSweep
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,10 @@ class ToolSection:
         # A tool that goes in whole has no section there: its shadow counts.
         filled = min(area / hull.volume, 1.0) if len(sides) else 1.0
         return ToolSection(points[hull.vertices], filled, depth_mm)
+
+    def moved(self, sweep: ContactSweep) -> ToolSection:
+        """Section at the end of the tool's way over the gel."""
+        return replace(self, outline_mm=sweep.moved(self.outline_mm))
 
 
 def _section_sides(corners: np.ndarray, level: float) -> np.ndarray:

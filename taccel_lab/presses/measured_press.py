@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A press that measures its numerical error: one of half the resolution stands beside it. And how
-far its heights and image may be off, by all that is known.
+"""A press that measures its numerical error: coarser ones stand beside it. And how far its heights
+and image may be off, by all that is known.
 
-From one level of resolution to the next elements are 2^0.5 times as many along every side, ``dhat``
-is halved, and so is the length of the steps, in path and time. Errors of dhat and steps halve, and
-those of the mesh at least. The change from the level below has their sign: half of it is taken off
-the force, half is stated, with what a battery of presses shows to be left
+Its parts are taken apart. Of **steps**, in path and time, a coarser mesh shows as well what half as
+many add: that is of first order, and as much is left, so it is taken off. The **contact range**
+follows the depth (``PressPhysics.of_press``). Of the **mesh** the change from one with 0.7 times
+the elements along every side says what it is worth: under rims errors are of about first order, and
+half of a small change is taken off and half is stated; a large one is no series yet, so that
+nothing is taken off and all of it is stated. Under balls it says little, as the coarser mesh has
+lost a layer and the press itself is within half a per cent: nothing is taken off. What is left is
+what an independent axisymmetric code and meshes of twice the elements show
 (docs/evidence/verification.md, Presses by default). ``--accuracy 3%`` goes up level by level, where
-each press is the one beside the next.
+each press is the one beside the next: elements are 2^0.5 times as many along every side, ``dhat``
+is halved, and so are the steps.
 """
 
 from __future__ import annotations
@@ -20,7 +25,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.presses.physics import Accuracy, PressPhysics, Shares, expected_error
+from taccel_lab.presses.physics import (
+    GAP_SHARE,
+    Accuracy,
+    PressPhysics,
+    Shares,
+    expected_error,
+)
 from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.scene import Ball, Element, TriangleMesh
 
@@ -32,14 +43,28 @@ FINER = 2**0.5
 MOST_LEVELS = 4
 """Levels above that of the options."""
 TAKEN_OFF = STATED = 0.5
-"""Parts of the change from the level below: a first-order error is as large as the change, that of
-a mesh a third of it and less."""
+"""Parts of the change of mesh from the level below, of tools that may have rims."""
+SMALL_CHANGE = 0.06
+"""Change of mesh up to which it is believed to be one of a series, of tools that may have rims."""
+LARGE_CHANGE = 0.12
+"""The same of balls: a coarser mesh that is sound changes the force by 9 % at most."""
+STEPS_STATED = 0.5
+"""Part of what steps add that is stated."""
 LEFT = {
-    Accuracy.FAST: Shares(0.007, 0.08),
-    Accuracy.DEFAULT: Shares(0.007, 0.026),
+    Accuracy.FAST: Shares(0.0075, 0.08),
+    Accuracy.DEFAULT: Shares(0.0075, 0.024),
     Accuracy.REFERENCE: Shares(0.003, 0.01),
 }
 """Shares of the force, beside that: what 19 of 20 presses of the battery need."""
+LEFT_BY_FRICTION = 0.005
+"""The same of balls, by the coefficient of friction."""
+LEFT_WHERE_STUCK = 0.6
+"""Part of what is left of tools with rims under friction, where the gel does not slip past the
+rim."""
+SLID, MOST_SLID = 0.2, 0.13
+"""Share of the force by how far a rim has slid from the rows of nodes that it came down on, over
+the contact's radius; and that at most: a punch of 2 mm, 0.3 mm deep, is 3, 5 and 10 % off after
+0.4, 0.6 and 1 mm."""
 LEFT_OF_DEPTH = 0.002
 """The same of the heights, over the depth; beside it the whole change is stated."""
 UNKNOWN_GUARD = 0.01
@@ -78,6 +103,8 @@ class Resolution:
 
 
 AS_IT_IS = Resolution.of(0)
+BESIDE = Resolution(1 / FINER, 1.0, 1.0)
+"""Resolution of the press beside that."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +121,8 @@ class NumericalError:
     """Part of ``share`` that depends on the guard against inside-out tets [1]."""
     changes: tuple[float, ...]
     """Solved forces less that of the finest level, over it, coarsest first [1]."""
+    steps_share: float
+    """Part of the solved force that the length of its steps adds [1]."""
     level: int
     """Level of the press; 0 is that of the options."""
     presses: int
@@ -157,6 +186,7 @@ def measured_press(
     physics: PressPhysics,
     shape: Ball | TriangleMesh,
     *,
+    friction: float,
     remembers: bool,
     asked: float | None = None,
     levels: int = 0,
@@ -167,6 +197,7 @@ def measured_press(
         press: Does a press.
         physics: Of level 0.
         shape: What presses.
+        friction: Coefficient between it and the gel.
         remembers: Whether the gel's state depends on the path: it rubs or relaxes.
         asked: Relative error of the force [1]; None for level 0 as it is.
         levels: Finest level, 4 at most: each takes about four times as long as the one below.
@@ -181,14 +212,14 @@ def measured_press(
         reason = "linear elements are too stiff on any mesh, so that this is a rule of thumb"
         return MeasuredPress(best, replace(found, shortfall=reason), None)
     try:
-        below = press(Resolution.of(-1))
+        below = press(BESIDE)
     except (SimulationError, InputError) as error:
         reason = f"the coarser press beside it failed ({error}), so that this is a rule of thumb"
         return MeasuredPress(best, replace(found, shortfall=reason), None)
     pressed, last = [below, best], 0.0
     shortfall: str | None = None
     while True:
-        found, last = _measured(pressed, physics, shape, last, asked)
+        found, last = _measured(pressed, physics, shape, friction, last, asked)
         if asked is None or found.share <= asked:
             break
         if level >= min(levels, MOST_LEVELS):
@@ -212,7 +243,7 @@ def _by_rule(
     depth_m, guard = 1e-3 * outcome.path.depth_mm, _guard_share(outcome)
     rule = expected_error(physics, shape, np.ones(1), np.full(1, depth_m))
     share = float(rule.force_n[0]) + guard
-    return NumericalError(1.0, share, float(rule.height_m[0]), guard, (0.0,), 0, 1, asked)
+    return NumericalError(1.0, share, float(rule.height_m[0]), guard, (0.0,), 0.0, 0, 1, asked)
 
 
 def _guard_share(outcome: PressOutcome) -> float:
@@ -223,20 +254,24 @@ def _measured(
     pressed: list[PressOutcome],
     physics: PressPhysics,
     shape: Ball | TriangleMesh,
+    friction: float,
     last: float,
     asked: float | None,
 ) -> tuple[NumericalError, float]:
-    """The error of the last of these presses, coarsest first, and its relative change of force.
+    """The error of the last of these presses, coarsest first, and its change by the mesh.
 
     Forces that went down and come up again (``last``: the change before) do not converge yet: under
     rims the two errors of a mesh, too stiff and too far from the rim, may just cancel. The force
     may be off by what second order leaves of the change before.
     """
     below, best = pressed[-2:]
-    guard = _guard_share(best)
-    solved = _compared_n(best)
+    guard, level, solved = _guard_share(best), len(pressed) - 2, _compared_n(best)
     changes = tuple(_compared_n(one) / solved - 1 if solved else 0.0 for one in pressed)
-    change, level = changes[-2], len(pressed) - 2
+    steps = _steps_share(pressed[0]) / 2**level
+    # The level below has steps twice as long, but for the first, which has the same.
+    change = changes[-2] - (steps if level else 0.0)
+    is_ball = isinstance(shape, Ball)
+    believed = abs(change) <= (LARGE_CHANGE if is_ball else SMALL_CHANGE)
     doubt = abs(change)
     if change * last < 0:
         doubt = max(doubt, SECOND_ORDER * abs(last))
@@ -244,14 +279,53 @@ def _measured(
         # Changes that fall by r leave r / (1 - r) of the last (Richardson), of which half is off.
         falls = min(change / last, SLOWEST)
         doubt *= max(1.0, 2 * falls / (1 - falls) - 1)
-    factor = 1.0 - TAKEN_OFF * change
-    left = LEFT[physics.accuracy].of(shape) / FINER**level
-    share = (STATED * doubt + left) / abs(factor) + guard
+    off, stated = 0.0, doubt
+    if believed:
+        off = 0.0 if is_ball else TAKEN_OFF * change
+        stated = 0.0 if is_ball and not level else STATED * doubt
+    factor = 1.0 - off - steps
+    left = LEFT[physics.accuracy].of(shape)
+    slid = 0.0
+    if is_ball:
+        left += LEFT_BY_FRICTION * friction
+    elif friction > 0:
+        left, slid = LEFT_WHERE_STUCK * left, slid_share(best)
+    left = left / FINER**level + slid
+    gap = GAP_SHARE * STATED * best.physics.dhat_m / (1e-3 * best.path.depth_mm)
+    share = (stated + STEPS_STATED * abs(steps) + left + gap) / abs(factor) + guard
     moved = (best.height_m - best.rest_height_m) - (below.height_m - below.rest_height_m)
     height_m = known_rms(moved[best.normals[..., 2] > UPRIGHT])
     height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
-    error = NumericalError(factor, share, height_m, guard, changes, level, len(pressed), asked)
+    number = len(pressed)
+    error = NumericalError(factor, share, height_m, guard, changes, steps, level, number, asked)
     return error, change
+
+
+def _steps_share(beside: PressOutcome) -> float:
+    """What the length of the steps adds to the force [1], of first order: as much as half as many
+    steps add to it."""
+    force = _compared_n(beside)
+    if beside.fewer_steps_n is None or not force:
+        return 0.0
+    return beside.fewer_steps_n / force - 1
+
+
+def slid_share(outcome: PressOutcome) -> float:
+    """Share of the force of a tool with rims that may be off since these have slid from the rows of
+    nodes that were drawn for them."""
+    last = outcome.steps[-1]
+    force = np.linalg.norm(outcome.contact_forces_n, axis=1)
+    if not force.any() or (last.shear_mm == (0.0, 0.0) and last.twist_deg == 0.0):
+        return 0.0
+    touched = force > 0
+    rest, now = outcome.mesh.nodes_m[touched, :2], outcome.positions_m[touched, :2]
+    origin = outcome.indenter_pose[:2]
+    angle = math.radians(last.twist_deg)
+    c, s = math.cos(angle), math.sin(angle)
+    # Where each point of the tool that now touches a node was above the gel at rest.
+    came = (now - origin) @ [[c, -s], [s, c]] + origin - 1e-3 * np.asarray(last.shear_mm)
+    slid = float(np.average(np.linalg.norm(came - rest, axis=1), weights=force[touched]))
+    return min(SLID * slid / max(outcome.contact_radius_m, 1e-9), MOST_SLID)
 
 
 def _compared_n(outcome: PressOutcome) -> float:

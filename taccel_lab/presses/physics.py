@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -81,6 +81,13 @@ class PressPhysics:
     relative_tolerance: float = 1e-4
     """Force residual over the sum of the contact forces at which a step has converged."""
 
+    def of_press(self, depth_mm: float, friction: float, poisson_ratio: float) -> PressPhysics:
+        """Physics of one press: a contact range that is small beside its depth, as a force is off
+        by ``GAP_SHARE`` of that over the depth; and layers for friction, see ``for_friction``."""
+        near = max(LEAST_DHAT_M, DHAT_OF_DEPTH * 1e-3 * depth_mm)
+        mesh = self.mesh.for_friction(poisson_ratio) if friction > 0 else self.mesh
+        return replace(self, dhat_m=min(self.dhat_m, near), mesh=mesh)
+
     def solver(self, **changes: Any) -> SolverConfig:
         """The solver's settings; ``changes`` are of what a result does not depend on, such as
         limits of iterations."""
@@ -96,6 +103,10 @@ class PressPhysics:
             record["mesh"] |= {f"{kind}_{name}": value for name, value in options.items()}
         return record
 
+
+DHAT_OF_DEPTH, LEAST_DHAT_M = 1 / 60, 1e-6
+"""Contact range of one press over its depth at most, and the least that this leads to [m]. A ball
+0.1 mm deep is 0.5 to 1 % off with 1e-5 m and 0.1 to 0.2 % with this."""
 
 PHYSICS: dict[Accuracy, PressPhysics] = {
     Accuracy.FAST: PressPhysics(

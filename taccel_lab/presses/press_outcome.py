@@ -111,6 +111,8 @@ class PressOutcome(Summary):
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
+    fewer_steps_n: float | None = None
+    """Normal force of the same press in half as many steps [N]; None where that was not asked."""
     states: PressStates | None = None
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
@@ -225,6 +227,7 @@ def simulate_press(
     keep_states: bool = False,
     stopped: Callable[[PressOutcome], None] | None = None,
     views: Mapping[str, FurtherView] | None = None,
+    with_fewer_steps: bool = False,
 ) -> PressOutcome:
     """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
     indenter with a texture must go deeper than that is on the mean.
@@ -236,7 +239,8 @@ def simulate_press(
     the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
     see ``RestSurface.left_out_by``. ``progress`` gets step, step count and outcome.
     ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each. ``views`` are
-    further cameras, by name, whose pixels are read at the end.
+    further cameras, by name, whose pixels are read at the end. ``with_fewer_steps`` presses once
+    more, in half as many steps.
     """
     env = PressEnv(
         mesh,
@@ -288,7 +292,13 @@ def simulate_press(
         why = str(error) or "interrupted"
         stopped(read(PressStop(*waypoints[min(len(steps), len(waypoints) - 1)], why)))
         raise
-    return read()
+    outcome = read()
+    if with_fewer_steps:
+        env.reset()
+        forces = [0.0]
+        env.follow(path.with_steps(0.5), lambda *_: forces.append(float(env.wrench[0, 2])))
+        outcome = replace(outcome, fewer_steps_n=max(forces) if path.back else forces[-1])
+    return outcome
 
 
 def _read(

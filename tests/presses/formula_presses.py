@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,9 @@ DEPTH_M = 5e-4
 TRUE_N = 2.0
 
 
-def outcome(at: Resolution, force_n: float, guard_share: float = 0.0) -> PressOutcome:
+def outcome(
+    at: Resolution, force_n: float, guard_share: float = 0.0, fewer_steps_n: float | None = None
+) -> PressOutcome:
     """A press whose heights are as far off as its force."""
     wrench = np.array([0.0, 0.0, force_n, 0.0, 0.0, 0.0])
     path = PressPath(1e3 * DEPTH_M).with_steps(at.steps)
@@ -48,6 +50,7 @@ def outcome(at: Resolution, force_n: float, guard_share: float = 0.0) -> PressOu
         contact_radius_m=1e-3,
         smallest_volume_ratio=1.0,
         guard_share=guard_share,
+        fewer_steps_n=fewer_steps_n,
     )
 
 
@@ -70,12 +73,14 @@ class Presses:
         self.done.append(at)
         if self.fails(at):
             raise SimulationError("the gel folded")
-        return outcome(at, TRUE_N * (1 + self.off(at)), self.guard_share)
+        fewer = replace(at, steps=0.5 * at.steps)
+        forces = (TRUE_N * (1 + self.off(one)) for one in (at, fewer))
+        return outcome(at, next(forces), self.guard_share, next(forces) if self.path else None)
 
     def measured(
         self, shape: Ball | TriangleMesh, asked: float | None = None, **options: Any
     ) -> MeasuredPress:
-        options = {"remembers": True, "levels": MOST_LEVELS, **options}
+        options = {"remembers": True, "friction": 0.0, "levels": MOST_LEVELS, **options}
         return measured_press(self, DEFAULT, shape, asked=asked, **options)
 
 

@@ -12,12 +12,24 @@ import pytest
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy, PressOutcome
-from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
-from taccel_lab.presses.physics import FORCE_SHARE, LINEAR_SHARE, expected_error, parse_accuracy
+from taccel_lab.presses.measured_press import (
+    AS_IT_IS,
+    BESIDE,
+    LEFT_BY_FRICTION,
+    Resolution,
+    measured_press,
+)
+from taccel_lab.presses.physics import (
+    FORCE_SHARE,
+    GAP_SHARE,
+    LINEAR_SHARE,
+    expected_error,
+    parse_accuracy,
+)
 from taccel_lab.scene import Ball, Element, TriangleMesh
-from tests.presses.formula_presses import DEFAULT, DEPTH_M, TRUE_N, Presses, stated
+from tests.presses.formula_presses import DEFAULT, DEPTH_M, TRUE_N, Presses, outcome, stated
 
-BATTERY = Path(__file__).parents[2] / "benchmarks/results/press_accuracy.json"
+BATTERY = Path(__file__).parents[2] / "benchmarks/results/press_referee.json"
 BALL = Ball(4e-3)
 RIMS = TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
 LINEAR = replace(DEFAULT, element=Element.LINEAR)
@@ -74,49 +86,71 @@ def test_coarser_settings_state_more_and_finer_ones_no_less():
     assert share(finer, BALL) == FORCE_SHARE[Accuracy.DEFAULT].smooth
 
 
-@pytest.mark.parametrize(("setting", "room"), [("fast", 5.0), ("default", 3.5)])
-def test_presses_of_the_battery_are_inside_what_they_state(setting, room):
-    """Measured on a GPU against meshes of twice the elements, docs/evidence/verification.md."""
+def test_presses_of_the_battery_are_inside_what_they_state():
+    """Against an independent axisymmetric code and meshes of twice the elements, see
+    docs/evidence/verification.md."""
     rows = json.loads(BATTERY.read_text())["rows"]
-    off, stated_, solved = np.abs(
-        [
-            (row["force_error"], row["estimated_force_error"], row["solved_error"])
-            for row in rows
-            if row["setting"] == setting and not row["cause"]
-        ]
-    ).T
+    off, said = np.abs([(row["force_error"], row["estimated_force_error"]) for row in rows]).T
     assert len(off) > 160
-    assert np.mean(off <= stated_) >= 0.95
-    assert np.median(stated_ / off) < room
-    assert np.mean(off) < 0.8 * np.mean(solved), "what is taken off makes forces better"
+    assert np.mean(off <= said) >= 0.95
+    referee = np.array([row["truth"] == "axisymmetric code" for row in rows])
+    assert referee.sum() > 60 and np.mean((off <= said)[referee]) >= 0.95
+    assert np.median(said) < 0.013 and np.median(off) < 0.004
+    solved = np.abs([row["solved_error"] for row in rows])
+    assert np.mean(off) < 0.9 * np.mean(solved), "what is taken off makes forces better"
 
 
-@pytest.mark.parametrize("order", [2.0, 3.0, 4.0])
-@pytest.mark.parametrize(
-    ("mesh", "dhat", "path"),
-    [(0.02, 0.01, 0.03), (-0.02, -0.01, 0.02), (0.0, 0.02, 0.0), (0.1, 0.0, 0.0), (0, 0, 0)],
-)
-def test_one_press_beside_it_halves_an_error_and_states_the_rest(mesh, dhat, path, order):
-    presses = Presses(mesh, dhat, path, order)
-    found = presses.measured(BALL)
-    assert presses.done == [AS_IT_IS, Resolution.of(-1)]
-    assert (presses.done[1].dhat, presses.done[1].steps) == (2.0, 0.5)
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize(("mesh", "path"), [(0.02, 0.03), (-0.02, 0.02), (0.0, 0.05), (0, 0)])
+def test_steps_are_taken_off_and_half_of_what_a_mesh_adds_under_rims(mesh, path, order):
+    presses = Presses(mesh, 0.0, path, order)
+    found = presses.measured(RIMS)
+    assert presses.done == [AS_IT_IS, BESIDE]
     force = stated(found)
-    solved, off = presses.off(AS_IT_IS), force.force_n / TRUE_N - 1
-    assert abs(off) <= 0.55 * (abs(mesh) + abs(dhat) + abs(path)) + 1e-12
+    assert found.error.steps_share == pytest.approx(path, rel=0.1)
+    assert abs(force.force_n / TRUE_N - 1) <= 0.8 * abs(mesh) + 0.1 * abs(path) + 1e-12
     assert abs(force.force_n - TRUE_N) <= force.force_error_n
-    assert 0.3 * abs(solved) * DEPTH_M <= force.height_error_m
     assert force.wrench[2] == force.steps[-1].wrench[2] == force.force_n
-    assert found.outcome.force_n == TRUE_N * (1 + solved)
+    assert found.outcome.force_n == TRUE_N * (1 + presses.off(AS_IT_IS))
+
+
+@pytest.mark.parametrize("coarse", [-0.08, 0.03, 0.09])
+def test_a_coarser_mesh_that_lost_a_layer_says_nothing_of_a_ball(coarse):
+    presses = Presses(0.0)
+    presses.off = lambda at: coarse if at.mesh < 1 else 0.003  # type: ignore[method-assign]
+    force = stated(presses.measured(BALL))
+    assert force.force_n == TRUE_N * 1.003
+    assert 0.003 < force.force_error_n / force.force_n < 0.01
+
+
+@pytest.mark.parametrize(("shape", "coarse"), [(BALL, 0.2), (RIMS, 0.42), (RIMS, -0.1)])
+def test_a_coarse_press_that_means_nothing_is_stated_and_not_taken_off(shape, coarse):
+    """A relief of 0.15 mm took 42 % more in the coarse press, and half of that was taken off."""
+    presses = Presses(0.0)
+    presses.off = lambda at: coarse if at.mesh < 1 else 0.04  # type: ignore[method-assign]
+    force = stated(presses.measured(shape))
+    assert force.force_n == TRUE_N * 1.04
+    assert force.force_error_n >= abs(presses.off(BESIDE) / 1.04 - 0.04) * TRUE_N
+
+
+def test_friction_and_a_wide_contact_range_widen_what_is_stated():
+    def share(shape=BALL, friction=0.0, dhat_m=1e-6):
+        def press(at):
+            return replace(outcome(at, TRUE_N), physics=replace(DEFAULT, dhat_m=dhat_m))
+
+        found = measured_press(press, DEFAULT, shape, friction=friction, remembers=True)
+        return found.error.share
+
+    assert share(friction=1.0) == pytest.approx(share() + LEFT_BY_FRICTION)
+    assert share(dhat_m=1e-5) == pytest.approx(share() + 0.5 * GAP_SHARE * 9e-6 / DEPTH_M)
+    assert share(RIMS, friction=0.5) < share(RIMS)
 
 
 @pytest.mark.parametrize("order", [2.0, 3.0])
-@pytest.mark.parametrize(
-    ("mesh", "dhat", "path"), [(0.04, 0.02, 0.03), (-0.04, -0.02, 0.03), (0.0, 0.0, 0.1)]
-)
-def test_percentages_go_up_until_they_are_kept(mesh, dhat, path, order):
-    presses = Presses(mesh, dhat, path, order)
-    found = presses.measured(BALL, 0.02)
+@pytest.mark.parametrize(("mesh", "path"), [(0.04, 0.03), (-0.04, 0.03), (0.0, 0.1)])
+def test_percentages_go_up_until_they_are_kept(mesh, path, order):
+    presses = Presses(mesh, 0.0, path, order)
+    found = presses.measured(RIMS, 0.02)
     error, force = found.error, stated(found)
     assert error.shortfall is None and error.share <= 0.02
     assert abs(force.force_n - TRUE_N) <= force.force_error_n <= 0.02 * force.force_n
@@ -127,20 +161,19 @@ def test_percentages_go_up_until_they_are_kept(mesh, dhat, path, order):
 
 def test_where_the_path_does_not_matter_finer_presses_keep_its_steps():
     presses = Presses(0.1)
-    presses.measured(BALL, 0.01, remembers=False)
-    assert [at.steps for at in presses.done[:3]] == [1, 0.5, 1] and len(presses.done) > 3
-    finer = {0.5**k for k in range(1, len(presses.done) - 1)}
-    assert {at.dhat for at in presses.done} == {2.0, 1.0, *finer}
+    presses.measured(RIMS, 0.01, remembers=False)
+    assert {at.steps for at in presses.done} == {1} and len(presses.done) > 3
+    assert [at.dhat for at in presses.done[1:]] == [0.5**k for k in range(len(presses.done) - 1)]
 
 
 def test_levels_and_failures_are_said_and_the_best_press_is_kept():
-    found = Presses(0.3, order=1.0).measured(BALL, 0.02, levels=1)
+    found = Presses(0.3, order=1.0).measured(RIMS, 0.02, levels=1)
     assert found.error.level == 1 and "--levels 2 takes" in str(found.error.shortfall)
     assert "2 % was not reached: 1 finer presses" in found.error.words()
-    assert "takes" not in str(Presses(0.9, order=0.2).measured(BALL, 0.01).error.shortfall)
+    assert "takes" not in str(Presses(0.9, order=0.2).measured(RIMS, 0.01).error.shortfall)
     presses = Presses(0.3, order=1.0)
     presses.fails = lambda at: at.mesh > 1.2
-    found = presses.measured(BALL, 0.02)
+    found = presses.measured(RIMS, 0.02)
     assert found.error.shortfall == "a finer press failed: the gel folded"
     assert found.error.level == 0 and found.error.share > 0.02
     presses.fails = lambda at: True
@@ -157,7 +190,7 @@ def test_what_is_not_measured_is_stated_by_the_grade_and_the_guard():
     assert "rule of thumb" in found.error.words()
     # Linear elements are tens of per cent too stiff on any mesh, of which two show a part.
     presses = Presses(0.2, order=1.0)
-    found = measured_press(presses, LINEAR, BALL, remembers=True)
+    found = measured_press(presses, LINEAR, BALL, friction=0.0, remembers=True)
     assert presses.done == [AS_IT_IS] and found.error.share == LINEAR_SHARE
     plain, guarded = (Presses(0.01, guard_share=g).measured(BALL).error for g in (0.0, 0.04))
     assert guarded.share == pytest.approx(plain.share + 0.04)
@@ -183,5 +216,5 @@ def test_a_way_back_is_measured_where_it_turned():
         end = replace(found.steps[0], depth_mm=0.0, wrench=np.zeros(6))
         return replace(found, path=replace(found.path, back=True), steps=[*found.steps, end])
 
-    back = measured_press(there_and_back, DEFAULT, BALL, remembers=True)
+    back = measured_press(there_and_back, DEFAULT, BALL, friction=0.0, remembers=True)
     assert back.error == Presses(0.02).measured(BALL).error and stated(back).force_n == 0.0

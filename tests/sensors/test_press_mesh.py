@@ -14,13 +14,14 @@ from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import measure_quality
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.geometry import Region
+from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import PressEnv, PressMeshOptions, normal_frame, parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.scene import Material
-from taccel_lab.sensors.press_mesh import pad_press_mesh, press_mesh
+from taccel_lab.sensors.press_mesh import pad_press_mesh, press_mesh, refined_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from tests.cad.pads import check_same, contact_edges
@@ -60,6 +61,38 @@ def test_options_set_the_number_of_nodes_and_parameters_the_shape() -> None:
     thick = DEFAULT_PRESS_MESH.for_ball(0.22, 10.0, 12.5)
     assert thick.layers > DEFAULT_PRESS_MESH.layers and thick.rings > DEFAULT_PRESS_MESH.rings
     assert DEFAULT_PRESS_MESH.for_ball(1.5, 4.25, 11.5) == DEFAULT_PRESS_MESH
+    # A contact wider than the gel is thick has smaller elements.
+    thin = DEFAULT_PRESS_MESH.for_ball(1.3, 1.0, 12.5)
+    assert thin.elements_per_radius > 1.3 * DEFAULT_PRESS_MESH.elements_per_radius
+
+
+def test_places_and_ways_add_what_they_need() -> None:
+    usual = DEFAULT_PRESS_MESH
+    assert usual.for_edge(1.0, 3.1) == usual.for_sweep(1.0, 2.9) == usual
+    assert usual.for_friction(0.46) == usual != usual.for_friction(0.48)
+    beside = usual.for_edge(1.0, 2.0)
+    assert beside.core > usual.core and beside.rings > usual.rings
+    far, farther = usual.for_sweep(1.0, 5.0), usual.for_sweep(1.0, 9.0)
+    assert usual.fine_radii < far.fine_radii < farther.fine_radii
+    assert usual.core <= far.core < farther.core and far.rings <= farther.rings
+
+
+def test_a_mesh_is_fine_along_the_whole_way() -> None:
+    """A ball's about the middle of its way, under a rim where it ends."""
+    pad = sensor_family("flat_pad").parameters({}).pad()
+    way = ContactSweep((5.0, 0.0))
+    mesh = refined_press_mesh(pad, (-2.5, 0.0), 1.1, sweep=way)
+    for place in ((-2.5, 0.0), (0.0, 0.0), (2.5, 0.0)):
+        lengths, away = contact_edges(mesh, place)
+        assert np.median(lengths[away < 1.1]) < 0.9
+    still = refined_press_mesh(pad, (-2.5, 0.0), 1.1)
+    lengths, away = contact_edges(still, (2.5, 0.0))
+    assert np.median(lengths[away < 1.1]) > 0.9
+    punch = parse_indenter("cylinder:2").contact(0.3)
+    top = refined_press_mesh(pad, (0.0, 0.0), punch, sweep=ContactSweep((1.0, 0.5)))
+    faces = top.nodes_m[top.region_nodes(Region.CONTACT), :2] * 1e3
+    rows = np.linalg.norm(faces - [1.0, 0.5], axis=1)
+    assert (np.abs(rows - 2.0 / math.cos(math.pi / 16)) < 0.01).sum() == 16
 
 
 test_refused = refuses(
