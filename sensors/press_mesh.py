@@ -32,6 +32,7 @@ from taccel_lab.geometry.bisection import bisected
 from taccel_lab.geometry.contact_sweep import AT_REST, ContactSweep
 from taccel_lab.geometry.press_mesh_options import (
     DEFAULT_PRESS_MESH,
+    EDGE_RADII,
     OutlineMeshOptions,
     PressMeshOptions,
 )
@@ -116,12 +117,32 @@ def refined_press_mesh(
         low, high = pad.outline.bounds_mm()
         radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
         options = options.for_ball(radius, pad.thickness_mm, 0.5 * float((high - low).mean()))
-        ends = np.asarray(at_mm, dtype=np.float64) + np.stack([np.zeros(2), sweep.way_mm])
-        options = options.for_edge(radius, float(pad.inside_distance_mm(ends).min()))
-        options = options.for_sweep(radius, sweep.length_mm)
-    if refinement != 1.0:
+        edge_mm = _edge_mm(pad, at_mm, sweep)
+        options = options.for_edge(radius, edge_mm).for_sweep(radius, sweep.length_mm)
+        # A coarser mesh with fewer spokes than that would say nothing of this one.
+        options = options.refined(refinement).for_edge(radius, edge_mm)
+    elif refinement != 1.0:
         options = options.refined(refinement)
     return pad_press_mesh(pad, at_mm, contact, options, sweep)
+
+
+def _edge_mm(pad: Pad, at_mm: tuple[float, float], sweep: ContactSweep) -> float:
+    """Least distance from the pad's edge on the way of a contact."""
+    ends = np.asarray(at_mm, dtype=np.float64) + np.stack([np.zeros(2), sweep.way_mm])
+    return float(pad.inside_distance_mm(ends).min())
+
+
+def is_beside_edge(
+    profile: SensorProfile,
+    at_mm: tuple[float, float],
+    contact: float | ToolSection,
+    sweep: ContactSweep = AT_REST,
+) -> bool:
+    """Whether a ball's contact comes so near to the pad's edge that its mesh has more spokes."""
+    pad = profile_parameters(profile).pad()
+    if isinstance(contact, ToolSection) or not isinstance(pad, HeightPad):
+        return False
+    return _edge_mm(pad, at_mm, sweep) < EDGE_RADII * contact
 
 
 def _bisected_around(

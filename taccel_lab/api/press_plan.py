@@ -14,7 +14,9 @@ from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.length_units import size_words
+from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
 from taccel_lab.presses.press_sweep import press_sweep
@@ -25,7 +27,7 @@ from taccel_lab.profile.assumed import is_modulus_known
 from taccel_lab.profile.measured_range import measured_range
 from taccel_lab.report.style import save_drawing
 from taccel_lab.scene import TriangleMesh
-from taccel_lab.sensors.press_mesh import profile_press_mesh
+from taccel_lab.sensors.press_mesh import is_beside_edge, profile_press_mesh
 from taccel_lab.sensors.registry import profile_sensor
 from taccel_lab.signals.color_model import ColorModel
 
@@ -170,18 +172,27 @@ class PressPlan:
             return self.profile.mesh
         try:
             contact = self.indenter.contact(path.depth_mm)
-            sweep = press_sweep(
-                path,
-                contact,
-                self.friction,
-                self.profile.gel.thickness_mm,
-                self.profile.material.poisson_ratio,
-            )
             return profile_press_mesh(
-                self.profile, self.options.at_mm, contact, physics.mesh, refinement, sweep
+                self.profile,
+                self.options.at_mm,
+                contact,
+                physics.mesh,
+                refinement,
+                self._sweep(path, contact),
             )
         except InputError as error:
             x, y = self.options.at_mm
             raise InputError(
                 f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
             ) from error
+
+    def _sweep(self, path: PressPath, contact: float | ToolSection) -> ContactSweep:
+        gel, material = self.profile.gel, self.profile.material
+        return press_sweep(path, contact, self.friction, gel.thickness_mm, material.poisson_ratio)
+
+    def is_beside_edge(self, path: PressPath) -> bool:
+        """Whether a ball comes so near to the pad's edge that its mesh is no usual one."""
+        if self.options.mesh == "profile":
+            return False
+        contact = self.indenter.contact(path.depth_mm)
+        return is_beside_edge(self.profile, self.options.at_mm, contact, self._sweep(path, contact))

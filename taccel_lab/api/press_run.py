@@ -154,6 +154,7 @@ class PressRun(PressPlan):
                     run.indenter.shape,
                     friction=run.friction,
                     remembers=run.remembers,
+                    beside_edge=run.is_beside_edge(path),
                     asked=options.asked_share,
                     levels=options.levels,
                 )

@@ -148,6 +148,8 @@ class PressMeshOptions:
     def refined(self, factor: float) -> PressMeshOptions:
         """Multiplies the elements along every side by ``factor``; rings and the core stay even, as
         domes need it."""
+        if factor == 1.0:
+            return self
         return replace(
             self,
             elements_per_radius=factor * self.elements_per_radius,

@@ -188,6 +188,7 @@ def measured_press(
     *,
     friction: float,
     remembers: bool,
+    beside_edge: bool = False,
     asked: float | None = None,
     levels: int = 0,
 ) -> MeasuredPress:
@@ -199,6 +200,7 @@ def measured_press(
         shape: What presses.
         friction: Coefficient between it and the gel.
         remembers: Whether the gel's state depends on the path: it rubs or relaxes.
+        beside_edge: Whether a ball touches so near to the pad's edge that its mesh is no usual one.
         asked: Relative error of the force [1]; None for level 0 as it is.
         levels: Finest level, 4 at most: each takes about four times as long as the one below.
 
@@ -219,7 +221,7 @@ def measured_press(
     pressed, last = [below, best], 0.0
     shortfall: str | None = None
     while True:
-        found, last = _measured(pressed, physics, shape, friction, last, asked)
+        found, last = _measured(pressed, physics, shape, friction, beside_edge, last, asked)
         if asked is None or found.share <= asked:
             break
         if level >= min(levels, MOST_LEVELS):
@@ -255,6 +257,7 @@ def _measured(
     physics: PressPhysics,
     shape: Ball | TriangleMesh,
     friction: float,
+    beside_edge: bool,
     last: float,
     asked: float | None,
 ) -> tuple[NumericalError, float]:
@@ -282,7 +285,7 @@ def _measured(
     off, stated = 0.0, doubt
     if believed:
         off = 0.0 if is_ball else TAKEN_OFF * change
-        stated = 0.0 if is_ball and not level else STATED * doubt
+        stated = STATED * doubt if level or beside_edge or not is_ball else 0.0
     factor = 1.0 - off - steps
     left = LEFT[physics.accuracy].of(shape)
     slid = 0.0

@@ -134,7 +134,7 @@ def test_a_coarse_press_that_means_nothing_is_stated_and_not_taken_off(shape, co
 
 
 def test_friction_and_a_wide_contact_range_widen_what_is_stated():
-    def share(shape=BALL, friction=0.0, dhat_m=1e-6):
+    def share(shape: Ball | TriangleMesh = BALL, friction=0.0, dhat_m=1e-6):
         def press(at):
             return replace(outcome(at, TRUE_N), physics=replace(DEFAULT, dhat_m=dhat_m))
 
