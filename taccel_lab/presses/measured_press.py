@@ -268,9 +268,9 @@ def _measured(
     may be off by what second order leaves of the change before.
     """
     below, best = pressed[-2:]
-    guard, level, solved = _guard_share(best), len(pressed) - 2, _compared_n(best)
-    changes = tuple(_compared_n(one) / solved - 1 if solved else 0.0 for one in pressed)
-    steps = _steps_share(pressed[0]) / 2**level
+    guard, level, solved = _guard_share(best), len(pressed) - 2, best.largest_n
+    changes = tuple(one.largest_n / solved - 1 if solved else 0.0 for one in pressed)
+    steps = (pressed[0].steps_share or 0.0) / 2**level
     # The level below has steps twice as long, but for the first, which has the same.
     change = changes[-2] - (steps if level else 0.0)
     is_ball = isinstance(shape, Ball)
@@ -304,15 +304,6 @@ def _measured(
     return error, change
 
 
-def _steps_share(beside: PressOutcome) -> float:
-    """What the length of the steps adds to the force [1], of first order: as much as half as many
-    steps add to it."""
-    force = _compared_n(beside)
-    if beside.fewer_steps_n is None or not force:
-        return 0.0
-    return beside.fewer_steps_n / force - 1
-
-
 def slid_share(outcome: PressOutcome) -> float:
     """Share of the force of a tool with rims that may be off since these have slid from the rows of
     nodes that were drawn for them."""
@@ -329,12 +320,6 @@ def slid_share(outcome: PressOutcome) -> float:
     came = (now - origin) @ [[c, -s], [s, c]] + origin - 1e-3 * np.asarray(last.shear_mm)
     slid = float(np.average(np.linalg.norm(came - rest, axis=1), weights=force[touched]))
     return min(SLID * slid / max(outcome.contact_radius_m, 1e-9), MOST_SLID)
-
-
-def _compared_n(outcome: PressOutcome) -> float:
-    """Solved normal force at the end, or before the way back, which ends without one [N]."""
-    forces = [float(step.wrench[2]) for step in outcome.steps]
-    return max(forces) if outcome.path.back else forces[-1]
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,9 @@ class PressOutcome(Summary):
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
-    fewer_steps_n: float | None = None
-    """Normal force of the same press in half as many steps [N]; None where that was not asked."""
+    steps_share: float | None = None
+    """What the length of the steps adds to the normal force, over it, by a press in half as many;
+    None where that was not asked."""
     states: PressStates | None = None
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
@@ -138,6 +139,13 @@ class PressOutcome(Summary):
     def force_n(self) -> float:
         """Normal force of the gel on the indenter [N]."""
         return float(self.wrench[2])
+
+    @property
+    def largest_n(self) -> float:
+        """Normal force at the end, or the largest of a way there and back, which ends without
+        [N]."""
+        forces = [float(step.wrench[2]) for step in self.steps]
+        return max(forces) if self.path.back else forces[-1]
 
     @property
     def travel_mm(self) -> float:
@@ -294,11 +302,23 @@ def simulate_press(
         raise
     outcome = read()
     if with_fewer_steps:
-        env.reset()
-        forces = [0.0]
-        env.follow(path.with_steps(0.5), lambda *_: forces.append(float(env.wrench[0, 2])))
-        outcome = replace(outcome, fewer_steps_n=max(forces) if path.back else forces[-1])
+        outcome = replace(outcome, steps_share=_steps_share(env, path, outcome.largest_n))
     return outcome
+
+
+def _steps_share(env: PressEnv, path: PressPath, force_n: float) -> float:
+    """What the steps of a path add to its normal force, over it: of first order, so that n of them
+    add 1 / (n / m - 1) of what m fewer ones change (Richardson)."""
+    count = len(path.way_there())
+    fewer = path.with_steps(max(1, count // 2) / count)
+    ratio = count / len(fewer.way_there())
+    if ratio == 1 or not force_n:
+        return 0.0
+    env.reset()
+    forces = [0.0]
+    env.follow(fewer, lambda *_: forces.append(float(env.wrench[0, 2])))
+    found = max(forces) if path.back else forces[-1]
+    return (found / force_n - 1) / (ratio - 1)
 
 
 def _read(

@@ -21,7 +21,7 @@ TRUE_N = 2.0
 
 
 def outcome(
-    at: Resolution, force_n: float, guard_share: float = 0.0, fewer_steps_n: float | None = None
+    at: Resolution, force_n: float, guard_share: float = 0.0, steps_share: float | None = None
 ) -> PressOutcome:
     """A press whose heights are as far off as its force."""
     wrench = np.array([0.0, 0.0, force_n, 0.0, 0.0, 0.0])
@@ -50,7 +50,7 @@ def outcome(
         contact_radius_m=1e-3,
         smallest_volume_ratio=1.0,
         guard_share=guard_share,
-        fewer_steps_n=fewer_steps_n,
+        steps_share=steps_share,
     )
 
 
@@ -74,8 +74,9 @@ class Presses:
         if self.fails(at):
             raise SimulationError("the gel folded")
         fewer = replace(at, steps=0.5 * at.steps)
-        forces = (TRUE_N * (1 + self.off(one)) for one in (at, fewer))
-        return outcome(at, next(forces), self.guard_share, next(forces) if self.path else None)
+        off = self.off(at)
+        share = (1 + self.off(fewer)) / (1 + off) - 1 if off != -1 else 0.0
+        return outcome(at, TRUE_N * (1 + off), self.guard_share, share)
 
     def measured(
         self, shape: Ball | TriangleMesh, asked: float | None = None, **options: Any
