@@ -80,7 +80,8 @@ class PressOptions:
     """Convergence tolerance: force residual over the sum of the contact forces. Default: that of
     the accuracy."""
     dhat_mm: float | None = None
-    """Gap at which contact begins [mm]. Default: that of the accuracy."""
+    """Gap at which contact begins [mm]. Default: that of the accuracy, and a sixtieth of the depth
+    at most."""
     element: Literal["linear", "quadratic"] | None = None
     """linear: for comparison only; forces are tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"

@@ -99,7 +99,8 @@ class Press(Summary):
             self.slippery,
             self._photo_error_mm,
         )
-        return ForceInterval.of(self.force_n, causes)
+        error_n = self.force_error_n
+        return ForceInterval.of(self.force_n, causes, error_n if math.isfinite(error_n) else 0.0)
 
     @property
     def force_interval_n(self) -> tuple[float, float]:

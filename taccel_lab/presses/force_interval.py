@@ -50,12 +50,16 @@ class ForceInterval:
     causes: tuple[Cause, ...]
 
     @classmethod
-    def of(cls, force_n: float, causes: tuple[Cause, ...]) -> ForceInterval:
-        """Interval of a force [N] with independent causes."""
+    def of(
+        cls, force_n: float, causes: tuple[Cause, ...], numerical_n: float = 0.0
+    ) -> ForceInterval:
+        """Interval of a force [N] with independent causes. A numerical error [N] that is larger
+        than the force, as after a way back, is no factor of it, and is added."""
         low = math.exp(-math.hypot(*(_log(each.low) for each in causes)))
         high = math.exp(math.hypot(*(_log(each.high) for each in causes)))
         ends = sorted((low * force_n, high * force_n))
-        return cls(ends[0], ends[1], causes)
+        apart = numerical_n if numerical_n > abs(force_n) else 0.0
+        return cls(ends[0] - apart, ends[1] + apart, causes)
 
     def ranked(self) -> list[Cause]:
         """Causes, the largest first."""
@@ -103,7 +107,8 @@ def force_causes(
     found: list[Cause] = []
     if math.isfinite(outcome.force_error_n) and outcome.force_n:
         share = outcome.force_error_n / abs(outcome.force_n)
-        found.append(Cause("numerical", max(1.0 - share, 0.0), 1.0 + share))
+        if share <= 1.0:
+            found.append(Cause("numerical", 1.0 - share, 1.0 + share))
     material = profile.material
     # Every stress of a gel grows as its moduli do.
     low_pa, high_pa = modulus_interval_pa(material)

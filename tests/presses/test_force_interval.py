@@ -58,6 +58,15 @@ def test_independent_causes_add_by_squares_of_logarithms():
     assert found.words().index("a x 0.5 to 2") < found.words().index("b -9.1 to +10 %")
 
 
+def test_what_is_left_after_a_way_back_is_told_from_nothing_by_the_error_in_newtons(pad):
+    """4.5e-6 N after unloading had an interval that excluded 0."""
+    after = replace(pressed(4.5e-6), force_error_n=1e-3)
+    assert "numerical" not in {each.name for each in force_causes(pad, BALL, after, None)}
+    found = ForceInterval.of(4.5e-6, (Cause("a", 0.5, 2.0),), 1e-3)
+    assert found.low_n == pytest.approx(-1e-3, rel=0.01) and found.high_n > 1e-3
+    assert ForceInterval.of(1.0, (), 0.1).low_n == 1.0
+
+
 def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad):
     found = causes(pad)
     assert (found["Young's modulus"].low, found["Young's modulus"].high) == (0.5, 2.0)
