@@ -212,7 +212,7 @@ class PressRun(PressPlan):
             keep_states=self.options.states and not beside,
             stopped=None if beside else finished.append,
             views={} if beside else dict(further),
-            with_fewer_steps=beside and self.remembers,
+            with_fewer_steps=beside and (friction > 0 or bool(self.profile.material.branches)),
         )
         if not beside:
             finished.append(outcome)

@@ -283,10 +283,12 @@ def _measured(
         # Changes that fall by r leave r / (1 - r) of the last (Richardson), of which half is off.
         falls = min(change / last, SLOWEST)
         doubt *= max(1.0, 2 * falls / (1 - falls) - 1)
+    # Beside a ball the first mesh has lost a layer, and its change is none of a series.
+    says_something = level > 0 or beside_edge or not is_ball
     off, stated = 0.0, doubt
     if believed:
         off = 0.0 if is_ball else TAKEN_OFF * change
-        stated = STATED * doubt if level or beside_edge or not is_ball else 0.0
+        stated = STATED * doubt if says_something else 0.0
     factor = 1.0 - off - steps
     left = LEFT[physics.accuracy].of(shape)
     slid = 0.0
@@ -302,7 +304,7 @@ def _measured(
     height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
     number = len(pressed)
     error = NumericalError(factor, share, height_m, guard, changes, steps, level, number, asked)
-    return error, change
+    return error, change if says_something else 0.0
 
 
 def slid_share(outcome: PressOutcome) -> float:

@@ -123,6 +123,15 @@ def test_a_coarser_mesh_that_lost_a_layer_says_nothing_of_a_ball(coarse):
     assert 0.003 < force.force_error_n / force.force_n < 0.01
 
 
+@pytest.mark.parametrize("coarse", [-0.08, 0.03, 0.09])
+def test_a_percentage_of_a_ball_does_not_wait_for_that_mesh(coarse):
+    presses = Presses(0.0)
+    presses.off = lambda at: coarse if at.mesh < 1 else 0.004 / at.mesh**2  # type: ignore[method-assign]
+    found = presses.measured(BALL, 0.011, friction=1.0)
+    assert found.error.level == 1 and found.error.shortfall is None
+    assert abs(stated(found).force_n / TRUE_N - 1) < found.error.share <= 0.011
+
+
 @pytest.mark.parametrize(("shape", "coarse"), [(BALL, 0.2), (RIMS, 0.42), (RIMS, -0.1)])
 def test_a_coarse_press_that_means_nothing_is_stated_and_not_taken_off(shape, coarse):
     """A relief of 0.15 mm took 42 % more in the coarse press, and half of that was taken off."""
