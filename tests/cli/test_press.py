@@ -227,7 +227,9 @@ def test_finished_steps_are_kept(
     unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
 ) -> None:
     """A press that stops in its third step is the one that ends with its second, and says so."""
-    options = f"--step-mm 0.1 --mesh profile --states {QUICK} --friction 0.5 --depth-mm"
+    # The contact range follows the depth that is aimed at, unless it is given.
+    options = f"--step-mm 0.1 --dhat-mm 0.005 --mesh profile --states {QUICK} --friction 0.5"
+    options += " --depth-mm"
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert press(unit, whole, options, "0.2") == 0
     gap, move = PressEnv._mean_gap_m, PressEnv.move_to
