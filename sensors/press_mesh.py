@@ -138,7 +138,7 @@ def is_beside_edge(
     contact: float | ToolSection,
     sweep: ContactSweep = AT_REST,
 ) -> bool:
-    """Whether a ball's contact comes so near to the pad's edge that its mesh has more spokes."""
+    """Say whether a ball comes so near to the pad's edge that its mesh has more spokes."""
     pad = profile_parameters(profile).pad()
     if isinstance(contact, ToolSection) or not isinstance(pad, HeightPad):
         return False

@@ -156,7 +156,7 @@ class CaptureFolder:
     design: dict[str, Any] = field(default_factory=dict)
     """Parameters of the catalogue's design that were measured on this unit."""
     by_diameter: bool = False
-    """Whether the manifest states the ball's diameter, so that no radius can be taken for one."""
+    """True where the manifest states the ball's diameter: no radius can be taken for one."""
     assumed: dict[str, str] = field(default_factory=dict)
     """What no file states, by the name of the value: what was taken, and why."""
     recorded: RecordedEntry | None = None

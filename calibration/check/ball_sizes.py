@@ -55,7 +55,7 @@ class BallSize:
         return max(self.contact_mm - SURE * self.sigma_mm, 0.0)
 
     def is_wider(self, share: float = 1.0) -> bool:
-        """Whether it is surely wider than a ball of that share of the stated radius."""
+        """Say whether it is surely wider than a ball of that share of the stated radius."""
         return self._least_mm > share * self.ball_mm
 
     def cap_mm(self, share: float = 1.0) -> float:
@@ -123,8 +123,8 @@ def check_diameter(
     sizes: Sequence[BallSize],
     layer: BondedLayer | None,
 ) -> list[Remark]:
-    """Whether balls half as large as stated, whose diameters were taken for radii, could have left
-    the contacts, too. ``layer``: the gel, where it is known."""
+    """Remark where balls half as large as stated, whose diameters were taken for radii, could have
+    left the contacts, too. ``layer``: the gel, where it is known."""
     most_mm = math.inf if layer is None else DEEPEST_SHARE * layer.thickness_mm
     told = sum(one.cap_mm(0.5) > most_mm or one.is_wider(0.5) for one in sizes)
     if not sizes or told > FEW_SHARE * len(sizes) or _travel_tells(frames, sizes, layer):
@@ -136,7 +136,7 @@ def check_diameter(
 def _travel_tells(
     frames: Sequence[FrameFigures], sizes: Sequence[BallSize], layer: BondedLayer | None
 ) -> bool:
-    """Whether presses went less deep than half of the stated ball does in contacts of their size.
+    """Say whether presses went less deep than half the stated ball does in contacts of their size.
 
     In a layer it goes twice as deep as the stated one and more; in an unknown gel as deep as its
     cap at least, ``a^2 / R`` of the stated radius.

@@ -92,7 +92,7 @@ def _middle(image: np.ndarray) -> np.ndarray:
 
 
 def _repeats_lines(grey: np.ndarray) -> bool:
-    """Whether nearly all changes of a picture, float32 [h, w], lie at the borders of larger
+    """Say whether nearly all changes of a picture, float32 [h, w], lie at the borders of larger
     pixels."""
     rows = (grey[1:] != grey[:-1]).any(axis=1).astype(int)
     columns = (grey[:, 1:] != grey[:, :-1]).any(axis=0).astype(int)

@@ -63,7 +63,7 @@ class DepthCalibration(BlockResult):
     """The presses; their images are read on demand."""
     ball_share: float = 0.0
     """Standard deviation of depths, as a share of them, by a ball whose radius may be its diameter;
-    0 where that is told."""
+    0 where that is known."""
     remarks: tuple[Remark, ...] = ()
 
     @property

@@ -56,7 +56,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """What gave the normals of the sink-in."""
     ball_share: float = 0.0
     """Standard deviation of slopes and depths, as a share of them, by a ball whose radius may be
-    its diameter; 0 where that is told."""
+    its diameter; 0 where that is known."""
 
     @property
     def train_names(self) -> tuple[str, ...]:

@@ -191,7 +191,7 @@ class PressPlan:
         return press_sweep(path, contact, self.friction, gel.thickness_mm, material.poisson_ratio)
 
     def is_beside_edge(self, path: PressPath) -> bool:
-        """Whether a ball comes so near to the pad's edge that its mesh is no usual one."""
+        """Say whether a ball comes so near to the pad's edge that its mesh is no usual one."""
         if self.options.mesh == "profile":
             return False
         contact = self.indenter.contact(path.depth_mm)

@@ -18,7 +18,7 @@ class ContactSweep:
     twist_deg: float = 0.0
     """Turn about +z through the origin, right-handed."""
     slip: float = 1.0
-    """Part of that by which the tool slides over the gel; the gel goes with it for the rest."""
+    """Share of that motion that is slip; for the rest the gel sticks to the tool."""
 
     @property
     def way_mm(self) -> np.ndarray:

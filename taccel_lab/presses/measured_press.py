@@ -302,8 +302,9 @@ def _measured(
     moved = (best.height_m - best.rest_height_m) - (below.height_m - below.rest_height_m)
     height_m = known_rms(moved[best.normals[..., 2] > UPRIGHT])
     height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
-    number = len(pressed)
-    error = NumericalError(factor, share, height_m, guard, changes, steps, level, number, asked)
+    error = NumericalError(
+        factor, share, height_m, guard, changes, steps, level, presses=len(pressed), asked=asked
+    )
     return error, change if says_something else 0.0
 
 

@@ -112,8 +112,8 @@ class PressOutcome(Summary):
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
     steps_share: float | None = None
-    """What the length of the steps adds to the normal force, over it, by a press in half as many;
-    None where that was not asked."""
+    """Share of the normal force that the length of the steps adds, by a press in half as many; None
+    where that was not asked."""
     states: PressStates | None = None
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
@@ -307,7 +307,7 @@ def simulate_press(
 
 
 def _steps_share(env: PressEnv, path: PressPath, force_n: float) -> float:
-    """What the steps of a path add to its normal force, over it: of first order, so that n of them
+    """Share of the normal force that the steps of a path add: of first order, so that n of them
     add 1 / (n / m - 1) of what m fewer ones change (Richardson)."""
     count = len(path.way_there())
     fewer = path.with_steps(max(1, count // 2) / count)

@@ -38,13 +38,11 @@ def press_sweep(
         poisson_ratio: Of the gel.
     """
     whole = ContactSweep(path.shear_mm, path.twist_deg)
-    if friction > 0 and isinstance(contact, ToolSection):
+    if isinstance(contact, ToolSection):
         # A rim that sticks stays above the rows that it came down on.
-        return replace(whole, slip=0.0)
-    if friction == 0 or isinstance(contact, ToolSection):
-        return whole
+        return replace(whole, slip=0.0) if friction > 0 else whole
     travel = math.hypot(*path.shear_mm) + math.radians(abs(path.twist_deg)) * contact
-    if travel == 0:
+    if friction == 0 or travel == 0:
         return whole
     depth = np.array([path.depth_mm])
     normal = layer_force_n("cylinder", depth, contact, thickness_mm, min(poisson_ratio, 0.5))
@@ -52,5 +50,4 @@ def press_sweep(
     modulus = 1e-6 / (2 * (1 + poisson_ratio))
     disc = 8 * contact / (2 - poisson_ratio) + math.pi * contact**2 / thickness_mm
     dragged = friction * _BALL_SHARE * float(normal[0]) / (modulus * disc)
-    slip = max(0.0, 1.0 - dragged / travel)
-    return ContactSweep(path.shear_mm, path.twist_deg, slip)
+    return replace(whole, slip=max(0.0, 1.0 - dragged / travel))

@@ -56,7 +56,7 @@ MAYBE_FADED = (
     "there, so that the depth may be 0; look at the lamps, or give an image of the untouched gel "
     "as it is now (--background)"
 )
-"""What a user is told of light that faded, or may have."""
+"""Remarks on light that faded, or may have."""
 PLANE = 3
 """Terms of a plane, of those of a quadratic."""
 PENETRATION = 0.01
@@ -70,7 +70,7 @@ class FadedLight:
     drop: np.ndarray
     """Drop by it [levels], shape [height_px, width_px]."""
     is_sure: bool
-    """Whether no dent looks so."""
+    """True where no dent looks so."""
 
     def factor(self, response: DepthResponse, untouched: np.ndarray) -> np.ndarray:
         """Factor of all channels of ``untouched``, RGB [h, w, 3], that it is, [h, w, 1]."""
@@ -129,7 +129,7 @@ def faded_light(
 
 
 def _smooth(values: np.ndarray, counted: np.ndarray | None, blur: float) -> np.ndarray:
-    """What is smooth in values [h, w], by those that count, without flattening its peak."""
+    """Smooth part of values [h, w], by those that count, without flattening its peak."""
     once = smoothed(values, counted, blur)
     return once + smoothed(values - once, counted, blur)
 
@@ -164,7 +164,7 @@ def _rise_beside(
 
 
 def _fills_view(dark: np.ndarray) -> bool:
-    """Whether drops, [h, w], are a bowl as wide as the view, beside which nothing is seen."""
+    """Say whether drops, [h, w], are a bowl as wide as the view, beside which nothing is seen."""
     terms = _quadratic(dark.shape).reshape(6, -1)
     change = _without(dark.ravel().astype(np.float64), terms[:1])
     left = _without(change, terms)

@@ -124,7 +124,7 @@ def not_of(known: SmallImage, seen: SmallImage, light: LightDrift) -> str | None
 
 
 def _is_plain(levels: np.ndarray) -> bool:
-    """Whether blocks, [n, 3], are of one colour."""
+    """Say whether blocks, [n, 3], are of one colour."""
     return len(levels) > 0 and float(np.ptp(levels, axis=0).max()) < 1.0
 
 

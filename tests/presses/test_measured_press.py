@@ -227,5 +227,5 @@ def test_a_way_back_is_measured_where_it_turned():
 
     back = measured_press(there_and_back, DEFAULT, BALL, friction=0.0, remembers=True)
     assert back.error == Presses(0.02).measured(BALL).error and stated(back).force_n == 0.0
-    # As large as before the way back: the little that is left is told from nothing by no less.
+    # As large as before the way back, where the force was.
     assert stated(back).force_error_n == stated(Presses(0.02).measured(BALL)).force_error_n

@@ -19,7 +19,7 @@ def slip(friction: float, shear_mm: float, depth_mm: float = 0.3, radius_mm: flo
 def test_a_ball_slides_what_friction_does_not_hold():
     assert slip(0.0, 1.0) == 1.0
     assert slip(0.5, 0.05) == 0.0 < slip(0.5, 0.6) < slip(0.5, 2.0) < slip(0.1, 2.0) < 1.0
-    # The gel goes with it by as much, however far it goes.
+    # The gel is dragged along by as much, however far the ball goes.
     assert (1 - slip(0.5, 1.0)) == pytest.approx(2 * (1 - slip(0.5, 2.0)))
     assert press_sweep(PressPath(0.3), 1.1, 0.5, 4.0, 0.46) == AT_REST
 

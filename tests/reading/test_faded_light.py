@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Light that fades on a grey sensor is told from a dent by the gel beside it."""
+"""Light that fades on a grey sensor is distinguished from a dent by the gel beside it."""
 
 from __future__ import annotations
 
