@@ -104,7 +104,7 @@ from scipy.optimize import brentq
 from taccel_lab import OpticalModel, PressEnv, SignalTactile, parse_indenter, profile_material
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.sensors.press_mesh import profile_press_mesh
+from taccel_lab.presses.mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
 physics = PHYSICS[Accuracy.FAST]

@@ -25,7 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
-from taccel_lab.sensors.press_mesh import profile_press_mesh
+from taccel_lab.presses.mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
 plt.rcParams["figure.dpi"] = 60

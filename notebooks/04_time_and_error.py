@@ -32,8 +32,8 @@ import numpy as np
 from taccel_lab import Element, parse_indenter, profile_material
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions, PressPath, simulate_press
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.measured_press import measured_press
-from taccel_lab.sensors.press_mesh import profile_press_mesh
+from taccel_lab.presses.mesh import profile_press_mesh
+from taccel_lab.presses.numerical_error import measured_press
 from taccel_lab.sensors.profile import catalogue_profile
 
 plt.rcParams["figure.dpi"] = 60

@@ -3,9 +3,7 @@
 
 from taccel_lab.api.calibrate import Calibration as Calibration
 from taccel_lab.api.calibrate import calibrate as calibrate
-from taccel_lab.api.press_options import PressOptions as PressOptions
-from taccel_lab.api.press_result import Press as Press
-from taccel_lab.api.press_run import press as press
+from taccel_lab.api.press import press as press
 from taccel_lab.api.read import Reader as Reader
 from taccel_lab.api.read import read as read
 from taccel_lab.api.sensor import Sensor as Sensor
@@ -33,6 +31,8 @@ from taccel_lab.presses import PressPath as PressPath
 from taccel_lab.presses import parse_indenter as parse_indenter
 from taccel_lab.presses import profile_material as profile_material
 from taccel_lab.presses import profile_scene as profile_scene
+from taccel_lab.presses.options import PressOptions as PressOptions
+from taccel_lab.presses.press import Press as Press
 from taccel_lab.profile.io import save_profile as save_profile
 from taccel_lab.profile.io import validate_profile as validate_profile
 from taccel_lab.profile.optical_design import OpticalDesign as OpticalDesign

@@ -31,7 +31,8 @@ from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, sound_g
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import TetMesh
-from taccel_lab.sensors import press_mesh, profile
+from taccel_lab.presses import mesh as press_mesh
+from taccel_lab.sensors import profile
 
 if TYPE_CHECKING:
     from taccel_lab.calibration.capture import CaptureSet

@@ -113,7 +113,7 @@ BARE_ROOMS = {
     ],
     # Only environments need the extra ``learning``; the main job's installation has none.
     "taccel_lab.cli.app, taccel_lab.cli.calibrate_all, taccel_lab.cli.calibrate, "
-    "taccel_lab.api.demonstration, taccel_lab.api.press_run, taccel_lab.calibration.calibrate, "
+    "taccel_lab.api.demonstration, taccel_lab.api.press, taccel_lab.calibration.calibrate, "
     "taccel_lab.learning.force.fit": [*("gymnasium", "onnx", "h5py", "pyarrow", "newton")],
 }
 """Modules, and what they load without."""

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.api.press_photo import LIKE
 from taccel_lab.cli.app import main, parse
 from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.photo import LIKE
 from taccel_lab.scene import Element
 from tests.cli.test_press import FILES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401

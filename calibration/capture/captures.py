@@ -58,6 +58,11 @@ class ContactCircle:
     v_px: float
     radius_px: float
 
+    @property
+    def center_px(self) -> tuple[float, float]:
+        """Column and row of the centre [px]."""
+        return self.u_px, self.v_px
+
     def distance_px(self, grid: PixelGrid) -> np.ndarray:
         """Distance of every pixel from the centre in column pixels, shape [height_px, width_px].
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.color.result import ColorCalibration, mean_bare
-from taccel_lab.calibration.response.frame import crop_slices
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.scores import block_scores
 from taccel_lab.exporters.taxim_table import TABLE_FILE, TableFile, write_table
+from taccel_lab.optics.image_measures import crop_slices
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import INK, new_figure
 
@@ -167,7 +167,9 @@ def _heldout(result: ColorCalibration) -> Figure:
     figure, axes = new_figure(1.9 * len(items) + 1.2, 6.4, 3, len(items), squeeze=False)
     shown = None
     for column, item in enumerate(items):
-        rows, columns = crop_slices(item.circle, result.captures.grid)
+        rows, columns = crop_slices(
+            item.circle.center_px, item.circle.radius_px, result.captures.grid
+        )
         render = item.shown
         error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
         for axis, image in zip(axes[:2, column], (item.captured, render), strict=True):

@@ -24,9 +24,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import Indenter, parse_indenter
 from taccel_lab.presses.bonded_layer import ToolKind
+from taccel_lab.presses.mesh import Pad, pad_press_mesh
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.profile import MaterialBlock, SensorProfile
-from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
 from taccel_lab.sensors.registry import profile_parameters
 
 UNIT_MODULUS_PA = 1e6

@@ -10,10 +10,11 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
-from taccel_lab.calibration.response.frame import CaptureScene, crop_slices
+from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.scores import block_scores
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.image_measures import crop_slices
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, LIGHT, ORANGE, new_figure
 
@@ -174,7 +175,7 @@ def _errors(result: NormalCalibration) -> Figure:
 
 def _draw_row(row: np.ndarray, item: HeldoutNormals, scene: CaptureScene, top: float) -> AxesImage:
     grid, circle = scene.grid, item.frame.circle
-    crop = crop_slices(circle, grid)
+    crop = crop_slices(circle.center_px, circle.radius_px, grid)
     extent = _extent(crop, grid)
     row[0].imshow(np.clip(item.frame.image[crop], 0, 255).astype(np.uint8), extent=extent)
     row[0].set_ylabel(f"{item.name}\n{item.used.mean_deg:.1f}° mean", fontsize=9)

@@ -11,10 +11,6 @@ search that knows no model.
 How close a rendered image comes to its capture is taken in the contact disc, in the square crop of
 half width 1.6 r around it, and over the whole image, with the background alone as the baseline:
 whole-image scores flatter, as a bare background already agrees nearly everywhere.
-
-SSIM is that of Wang, Bovik, Sheikh and Simoncelli (IEEE TIP 13(4), 2004): Gaussian window with
-sigma 1.5 px cut at 3.5 sigma (11x11 px), K1 = 0.01, K2 = 0.03, population moments, 255 levels,
-mean over channels and over the pixels whose window lies inside the image; computed by kornia.
 """
 
 from __future__ import annotations
@@ -35,6 +31,7 @@ from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import place_heldout
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.image_measures import crop_slices, psnr_db, ssim
 from taccel_lab.reading.light import (
     PRIOR_SIGMA,
     LightDrift,
@@ -53,10 +50,6 @@ SurfaceOf = Callable[[ContactCircle, float], BallSurface]
 """Surface under a ball of a radius [mm] in a circle; InputError where it cannot leave that."""
 NEAREST_RADII = 2.0
 """No pixel nearer than this many contact radii tells the light."""
-CROP_RADII = 1.6
-"""Half width of the crop in contact radii."""
-MAX_LEVEL = 255.0
-SSIM_WINDOW_PX = 11
 
 
 @dataclass(frozen=True)
@@ -265,7 +258,7 @@ def beside_pixels(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
     """Usable pixels beyond 2 contact radii and outside the crop that scores are taken in; bool,
     shape [height_px, width_px]."""
     beside = circle.distance_px(scene.grid) > NEAREST_RADII * circle.radius_px
-    beside[crop_slices(circle, scene.grid)] = False
+    beside[crop_slices(circle.center_px, circle.radius_px, scene.grid)] = False
     return beside & scene.usable
 
 
@@ -302,7 +295,7 @@ def score_image(
     if rendered.shape != captured.shape:
         raise InputError(f"images differ in shape: {rendered.shape} and {captured.shape}")
     error = np.abs(rendered - captured)
-    crop = crop_slices(circle, grid)
+    crop = crop_slices(circle.center_px, circle.radius_px, grid)
     disc = circle.distance_px(grid) <= circle.radius_px
     if not disc.any():
         raise InputError("no pixel of the contact counts")
@@ -313,38 +306,3 @@ def score_image(
         crop_psnr_db=psnr_db(rendered[crop], captured[crop]),
         crop_ssim=ssim(rendered[crop], captured[crop]),
     )
-
-
-def crop_slices(circle: ContactCircle, grid: PixelGrid) -> tuple[slice, slice]:
-    """Rows and columns of the crop around a contact, cut at the image's border."""
-    half_u = CROP_RADII * circle.radius_px
-    half_v = half_u * grid.mm_per_px_x / grid.mm_per_px_y
-    rows = (round(circle.v_px - half_v), round(circle.v_px + half_v) + 1)
-    columns = (round(circle.u_px - half_u), round(circle.u_px + half_u) + 1)
-    return (
-        slice(max(0, rows[0]), min(grid.height_px, rows[1])),
-        slice(max(0, columns[0]), min(grid.width_px, columns[1])),
-    )
-
-
-def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
-    """Peak signal-to-noise ratio of two images [dB], infinite when they are equal."""
-    mse = float(np.mean((np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2))
-    return float("inf") if mse == 0 else float(10 * np.log10(MAX_LEVEL**2 / mse))
-
-
-def ssim(a: np.ndarray, b: np.ndarray) -> float:
-    """Structural similarity of two images, shape [height, width, channels], both over 11 px: the
-    mean over the pixels whose window lies inside the image."""
-    a = np.asarray(a, dtype=np.float64)
-    b = np.asarray(b, dtype=np.float64)
-    size = SSIM_WINDOW_PX
-    if min(a.shape[:2]) < size:
-        raise InputError(f"SSIM needs images of at least {size}x{size} px, got {a.shape}")
-
-    import kornia.metrics
-    import torch
-
-    first, second = (torch.from_numpy(image).permute(2, 0, 1)[None] for image in (a, b))
-    score = kornia.metrics.ssim(first, second, size, max_val=MAX_LEVEL, padding="valid")
-    return float(score.mean())

@@ -15,10 +15,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_page import force_score, press_strip
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.atomic_file import write_image
+from taccel_lab.presses.options import PressOptions
+from taccel_lab.presses.page import force_score, press_strip
 from taccel_lab.processes.process_pool import Died, ProcessPool, Underway, usable_cores
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.profile.assumed import is_modulus_known
@@ -118,12 +118,12 @@ class _Asked:
 
 
 def _simulate(basis: Path, root: Path, asked: _Asked, progress: Progress) -> SimulatedPhoto:
-    from taccel_lab.api.press_run import PressRun
+    from taccel_lab.api.press import planned_press
 
     name, file = asked.name, asked.file
     options = PressOptions(indenter=asked.indenter, like=root / PHOTOS / f"{file}.png")
     try:
-        run = PressRun.plan(load_profile(basis), options)
+        run = planned_press(load_profile(basis), options)
         assert run.photo is not None
         # As seen from the press's folder, wherever the whole is moved.
         photo = replace(run.photo, path=Path("..", "..", PHOTOS, f"{file}.png"))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from taccel_lab.api.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.sensors.profile import profile_folder
 from taccel_lab.sensors.starters import is_starter
 

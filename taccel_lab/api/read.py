@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
-from taccel_lab.api.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.api.images import each_image, pixels_of
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_shape
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.sensors.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Reader:
         """
         start_warp()
         profile = reading_profile_of(sensor)
-        self._reader = _made(profile, (), _given(background), mask, method, device)
+        self._reader = image_reader(profile, (), _given(background), mask, method, device)
 
     @overload
     def __call__(self, image: Sequence[Image]) -> list[Reading]: ...
@@ -180,7 +180,7 @@ def read(
     given = _given(background)
 
     def made(profile: SensorProfile) -> ImageReader:
-        return _made(profile, files, given, mask, method)
+        return image_reader(profile, files, given, mask, method)
 
     kept = kept_reader(sensor, given, mask, method, files, made)
     with kept.lock:
@@ -195,18 +195,33 @@ def _given(background: Any) -> np.ndarray | Path | None:
     return pixels_of(background, "the background")[0]
 
 
-def _made(
+def image_reader(
     profile: SensorProfile,
     files: Sequence[Path],
     given: np.ndarray | Path | None,
-    mask: np.ndarray | None,
-    method: Method,
+    mask: np.ndarray | None = None,
+    method: Method = "auto",
     device: str = "cpu",
+    option: str = "background=",
 ) -> ImageReader:
+    """The reader of images with a profile, for what they are read against.
+
+    Args:
+        profile: With normals or depths.
+        files: Images, beside which a starter profile's untouched one is looked for.
+        given: What a person gave for it.
+        mask: Pixels that count, bool, [height_px, width_px].
+        method: As of ``read``.
+        device: Of torch.
+        option: By which a person gives the untouched image.
+
+    Raises:
+        InputError: As of ``Reader``.
+    """
     from taccel_lab.calibration.untouched_frame import UntouchedFrame
     from taccel_lab.reading.reader import Reader as ImageReader
 
-    untouched = UntouchedFrame.of(profile, files, given, option="background=")
+    untouched = UntouchedFrame.of(profile, files, given, option=option)
     if mask is not None:
         camera = untouched.profile.camera
         require_shape("mask", mask, (camera.height_px, camera.width_px))

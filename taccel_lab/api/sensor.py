@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from taccel_lab.api.any_sensor import AnySensor, changed_profile, reading_profile_of
-from taccel_lab.api.press_run import press
+from taccel_lab.api.press import press
 from taccel_lab.api.read import Method, Reader, read
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.sensors.any_sensor import AnySensor, changed_profile, reading_profile_of
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.typed import typed
 

@@ -41,11 +41,11 @@ from taccel_lab.presses import (
     parse_indenter,
     simulate_press,
 )
-from taccel_lab.presses.measured_press import BESIDE, FINER, Resolution, measured_press
+from taccel_lab.presses.mesh import refined_press_mesh
+from taccel_lab.presses.numerical_error import BESIDE, FINER, Resolution, measured_press
 from taccel_lab.presses.physics import parse_accuracy
 from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
-from taccel_lab.sensors.press_mesh import refined_press_mesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.tasks.peg_scene import prism
 

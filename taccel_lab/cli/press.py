@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from taccel_lab.api.press_options import PressOptions
 from taccel_lab.errors import keeping
+from taccel_lab.presses.options import PressOptions
 
 if TYPE_CHECKING:
-    from taccel_lab.api.press_result import Press as PressResult
+    from taccel_lab.presses.press import Press as PressResult
     from taccel_lab.processes.process_pool import Beside
 
 
@@ -56,13 +56,14 @@ class PressCommand(PressOptions, _Files):
 
     def _press(self, beside: Beside, kept: list[str]) -> None:
         """Press, and write; the last of ``kept`` says what stays if it ends now."""
-        from taccel_lab.api.press_page import press_rows, write_press_page
-        from taccel_lab.api.press_run import PressRun, step_progress
+        from taccel_lab.api.press import planned_press
         from taccel_lab.cli.console import notes, print_json, print_table, say, say_first_look
         from taccel_lab.files.output_folder import atomic_directory
+        from taccel_lab.presses.page import press_rows, write_press_page
+        from taccel_lab.presses.run import step_progress
 
         console = notes()
-        run = PressRun.plan(self.sensor, self)
+        run = planned_press(self.sensor, self)
         told = run.notes()
         for note in told:
             say(f"note: {note}")

@@ -11,11 +11,11 @@ import numpy as np
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
-from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import Indenter, normal_frame
+from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.mesh_options import PressMeshOptions
 from taccel_lab.scene import Ball, TriangleMesh
-from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.signals.frame_faults import FrameFaults
 from taccel_lab.signals.perturbation import Perturbation
 

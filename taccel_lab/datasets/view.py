@@ -21,8 +21,8 @@ from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
+from taccel_lab.presses.env import PressEnv
 from taccel_lab.presses.physics import PressError
-from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.faulty_frames import FaultyFrames
 from taccel_lab.signals.fine_surface import FineSurface

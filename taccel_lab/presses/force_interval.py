@@ -20,7 +20,7 @@ from taccel_lab.scene import Ball
 
 if TYPE_CHECKING:
     from taccel_lab.presses.indenter import Indenter
-    from taccel_lab.presses.press_outcome import PressOutcome
+    from taccel_lab.presses.outcome import PressOutcome
     from taccel_lab.profile import SensorProfile
 
 FRICTION_SHARE = 0.13

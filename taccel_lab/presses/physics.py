@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.press_mesh_options import (
+from taccel_lab.presses.mesh_options import (
     DEFAULT_PRESS_MESH,
     OutlineMeshOptions,
     PressMeshOptions,

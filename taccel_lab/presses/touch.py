@@ -20,7 +20,7 @@ from taccel_lab.presses.indenter import Indenter
 from taccel_lab.scene import Ball, TriangleMesh
 
 if TYPE_CHECKING:
-    from taccel_lab.presses.press_frame import PressFrames
+    from taccel_lab.presses.frame import PressFrames
     from taccel_lab.profile import SensorProfile
 
 MAX_DEPTH_FRACTION = 0.9

@@ -15,7 +15,6 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses import (
     PHYSICS,
@@ -25,9 +24,10 @@ from taccel_lab.presses import (
     layered_material,
     parse_indenter,
 )
+from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.mesh_options import PressMeshOptions
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.scene import Material
-from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.viewer.ball_press import BallPress, PressAnswer, SupersededError
 
 if TYPE_CHECKING:

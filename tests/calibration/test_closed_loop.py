@@ -18,17 +18,17 @@ import pytest
 import taccel_lab as tl
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.calibration.normals.samples import angle_between_deg
-from taccel_lab.calibration.response.frame import psnr_db
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.geometry.press_mesh_options import PressMeshOptions
+from taccel_lab.optics.image_measures import psnr_db
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
+from taccel_lab.presses.mesh import press_mesh
+from taccel_lab.presses.mesh_options import PressMeshOptions
 from taccel_lab.presses.physics import PHYSICS, Accuracy
 from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.reading.reader import Reader
 from taccel_lab.scene import Material
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
 from tests.calibration.drawn.faults import quantise
 from tests.support.synthetic_presses import write_folder

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.photo import PressPhoto
 from taccel_lab.profile import SensorProfile, load_profile, validate_profile
 from taccel_lab.scene import Element
 from tests.support.commands import refusal, run

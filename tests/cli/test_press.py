@@ -20,7 +20,7 @@ from taccel_lab.errors import SimulationError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.presses.press_env import PressEnv
+from taccel_lab.presses.env import PressEnv
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.profile.schema import BranchEntry
 from taccel_lab.scene import Element
@@ -43,7 +43,7 @@ QUICK = "--accuracy fast --friction 0"
 def quicken(patch: pytest.MonkeyPatch) -> None:
     fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
     patch.setitem(PHYSICS, Accuracy.FAST, fast)
-    patch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
+    patch.setattr("taccel_lab.presses.files.PREDICTED_PX", 64)
 
 
 @pytest.fixture(autouse=True)
@@ -273,9 +273,9 @@ def test_finished_steps_are_kept(
 @pytest.mark.parametrize(
     ("moment", "where", "missing"),
     [
-        ("coarser press", "presses.measured_press._by_rule", ["the numerical error"]),
-        ("image", "api.press_result.predicted_image", ["pictures", "the page"]),
-        ("page", "api.press_page.write_press_page", ["pictures", "the page"]),
+        ("coarser press", "presses.numerical_error._by_rule", ["the numerical error"]),
+        ("image", "presses.press.predicted_image", ["pictures", "the page"]),
+        ("page", "presses.page.write_press_page", ["pictures", "the page"]),
     ],
 )
 @pytest.mark.parametrize("code", [130, 143])

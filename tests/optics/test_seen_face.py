@@ -12,8 +12,8 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.camera.refraction import DomeMedia, FlatMedia, media_between
 from taccel_lab.geometry import quadratic_mesh
 from taccel_lab.optics.surface import GelFace, seen_faces
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.profile.optical_design import DesignedCamera, Light, MarkerGrid, Window
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.optics.compare import pressed_top
 from tests.support.formula_model import formula_model

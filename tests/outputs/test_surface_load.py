@@ -12,8 +12,8 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs, SurfaceLoad
 from taccel_lab.outputs.surface_load import SurfaceLoadReader
 from taccel_lab.presses import PressEnv, parse_indenter
+from taccel_lab.presses.mesh import PressMeshOptions, press_mesh
 from taccel_lab.scene import Ball, Material, Scene, SoftBody
-from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.support.variants import variants
 from tests.verification.half_space import HalfSpace, half_space_mesh

@@ -11,7 +11,12 @@ import numpy as np
 
 from taccel_lab.errors import SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy, PressOutcome, PressPath, PressStep
-from taccel_lab.presses.measured_press import MOST_LEVELS, MeasuredPress, Resolution, measured_press
+from taccel_lab.presses.numerical_error import (
+    MOST_LEVELS,
+    MeasuredPress,
+    Resolution,
+    measured_press,
+)
 from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.solvers import StepReport
 

@@ -9,7 +9,7 @@ import sys
 
 MESHED = """
 import hashlib
-from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.presses.mesh import press_mesh
 mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), 1.5)
 print(hashlib.sha256(mesh.nodes_m.tobytes()).hexdigest())
 """

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from taccel_lab.api.press_result import Press
-from taccel_lab.api.press_run import press
+from taccel_lab.api.press import press
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
+from taccel_lab.presses.press import Press
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor
@@ -167,7 +167,7 @@ def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: P
 
 @pytest.mark.thorough
 def test_cameras_are_saved(pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
+    monkeypatch.setattr("taccel_lab.presses.files.PREDICTED_PX", 64)
     main, right = (pressed.seen_by(name) for name in ("main", "camera_2"))
     assert main.image is not None and right.image is not None
     assert main.image.shape == right.image.shape

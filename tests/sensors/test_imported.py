@@ -23,9 +23,9 @@ from taccel_lab.presses import (
     profile_material,
     simulate_press,
 )
+from taccel_lab.presses.mesh import pad_press_mesh, profile_press_mesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.imported import ImportResult, import_design
-from taccel_lab.sensors.press_mesh import pad_press_mesh, profile_press_mesh
 from taccel_lab.sensors.registry import sensor_family
 from tests.geometry.vtu_files import read_mesh_vtu
 

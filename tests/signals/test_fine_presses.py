@@ -18,9 +18,9 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.presses import Indenter, PressEnv, PressMeshOptions
-from taccel_lab.presses.press_outcome import contact_radii_m
+from taccel_lab.presses.mesh import press_mesh
+from taccel_lab.presses.outcome import contact_radii_m
 from taccel_lab.scene import Ball, Material
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.signals import ContactFaceMesh, FineSurface, SignalTactile, normals_from_height
 from taccel_lab.solvers import SolverConfig
 from tests.signals.height_map_referee import HeightMapReferee

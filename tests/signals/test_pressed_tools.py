@@ -10,7 +10,7 @@ import torch
 
 import taccel_lab as tl
 from taccel_lab.presses import PHYSICS, Indenter, simulate_press
-from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.layer_contact import layer_compliance, solve_contact

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
 from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.mesh_options import OutlineMeshOptions, PressMeshOptions
 from taccel_lab.sensors.families.gelsight import GelSightParameters
 from taccel_lab.studies.presses.press_batch import PressJob, press_jobs, simulate
 from taccel_lab.studies.presses.press_record import PressRecord

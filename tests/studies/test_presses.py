@@ -16,11 +16,11 @@ from scipy.spatial import Delaunay
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
+from taccel_lab.presses.mesh import press_mesh
+from taccel_lab.presses.mesh_options import OutlineMeshOptions
 from taccel_lab.scene import Material
 from taccel_lab.sensors.families.gelsight import GelSightParameters
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.studies.metrics.evidence import profile_mm
 from taccel_lab.studies.metrics.shear import lost_part
 from taccel_lab.studies.metrics.surface import contrast

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.scene import Element, Material
-from taccel_lab.sensors.press_mesh import press_mesh
 
 GEL = Material(1.5e5, 0.46)
 LINEAR = replace(PHYSICS[Accuracy.DEFAULT], element=Element.LINEAR)

@@ -16,10 +16,10 @@ from taccel_lab.presses import (
     PressMeshOptions,
     profile_material,
 )
-from taccel_lab.presses.press_outcome import contact_radii_m, press_surface
+from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.outcome import contact_radii_m, press_surface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Ball
-from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.sensors.registry import profile_parameters
 from taccel_lab.signals.rest_surface import rest_surface
 

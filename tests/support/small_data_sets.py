@@ -12,9 +12,9 @@ import numpy as np
 from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import DatasetOutcome, make_dataset
 from taccel_lab.datasets.spec import DatasetSpec
-from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
+from taccel_lab.presses.mesh_options import OutlineMeshOptions
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,

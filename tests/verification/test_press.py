@@ -8,6 +8,7 @@ import pytest
 
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.presses import Indenter, PressEnv
+from taccel_lab.presses.mesh import PressMeshOptions, press_mesh
 from taccel_lab.scene import (
     Ball,
     Element,
@@ -20,7 +21,6 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
-from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose
 from tests.support.scene_steps import Stepped, Watched, linear

@@ -108,8 +108,8 @@ def folder(tmp_path_factory):
     fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PHYSICS, Accuracy.FAST, fast)
-        patch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
-        patch.setattr("taccel_lab.presses.press_files.STATES_PX", 64)
+        patch.setattr("taccel_lab.presses.files.PREDICTED_PX", 64)
+        patch.setattr("taccel_lab.presses.files.STATES_PX", 64)
         words = "--indenter sphere:2 --depth-mm 0.2 --step-mm 0.1 --accuracy fast --friction 0"
         out = ["--states", "--out", str(root / "press")]
         assert main(["press", str(profile), *words.split(), *out]) == 0

@@ -66,7 +66,7 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 def domed_pad(motion: PressMotion, coarser: int) -> TetMesh:
     """The catalogue's GelSight with 2,005 nodes, or with edges ``coarser`` times as long."""
     from taccel_lab.presses import PressMeshOptions
-    from taccel_lab.sensors.press_mesh import press_mesh
+    from taccel_lab.presses.mesh import press_mesh
 
     radius_mm = 1e3 * np.sqrt(motion.depth_m * motion.ball_m)
     at_mm = (1e3 * PLACE_M[0], 1e3 * PLACE_M[1])

@@ -14,7 +14,7 @@ from taccel_lab.camera.gel_camera import GelCamera, View
 from taccel_lab.camera.refraction import glued_back_mm, media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from taccel_lab.presses.press_force import by_power_law
+from taccel_lab.presses.force_search import by_power_law
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import MarkerLayout
 from taccel_lab.studies.metrics.design_point import LOAD_N, NoFigure

@@ -26,10 +26,10 @@ from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import Indenter, PressEnv, layered_material, normal_frame, parse_indenter
-from taccel_lab.presses.press_outcome import contact_radii_m
+from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.outcome import contact_radii_m
 from taccel_lab.scene import Ball, Material
 from taccel_lab.sensors.base import FamilyParameters
-from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.signals import ContactFaceMesh
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.presses.standard import StandardPress

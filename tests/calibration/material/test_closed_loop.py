@@ -17,8 +17,8 @@ from taccel_lab.calibration.material.force_table import GelBench
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.errors import SimulationError
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.material.made_up import COARSE_FAST, FAST, ball, gel
 from tests.support.variants import variants

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.api.press_result import Press
+from taccel_lab.presses.press import Press
 from taccel_lab.profile import BranchEntry, SensorProfile
 from taccel_lab.reading.overstress import Overstress
 from taccel_lab.reading.pressure import ContactPressure, PressureReader

@@ -21,8 +21,8 @@ from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
     from taccel_lab.outputs import Outputs
+    from taccel_lab.presses.env import PressEnv
     from taccel_lab.presses.indenter import Indenter
-    from taccel_lab.presses.press_env import PressEnv
     from taccel_lab.profile import SensorProfile
 
 MARKERS = "markers.csv"

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.presses.outcome import PressOutcome
 from taccel_lab.presses.physics import (
     GAP_SHARE,
     Accuracy,
@@ -32,7 +33,6 @@ from taccel_lab.presses.physics import (
     Shares,
     expected_error,
 )
-from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.scene import Ball, Element, TriangleMesh
 
 if TYPE_CHECKING:

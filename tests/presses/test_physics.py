@@ -15,9 +15,9 @@ from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.presses import PHYSICS, PressPhysics, layered_material, physics_difference
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.press_env import SETBACK_TOLERANCE
+from taccel_lab.presses.env import SETBACK_TOLERANCE
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.profile import FittedWith, MaterialBlock, Provenance
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
 from tests.support.coarse_pads import GEL, pad
 from tests.support.variants import variants

@@ -23,8 +23,8 @@ from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadrati
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_law
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
+from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.scene import Material, MaxwellBranch
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.solvers import EnvStatus, SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad
 from tests.support.intersection import find_intersections
@@ -252,7 +252,7 @@ def test_a_shear_into_a_bonded_wall_is_refused_before_the_press():
 
 def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch):
     """Wherever first touch comes from, an overlap at the start is never simulated."""
-    monkeypatch.setattr("taccel_lab.presses.press_env.first_touch_m", lambda *_: 1e-3)
+    monkeypatch.setattr("taccel_lab.presses.env.first_touch_m", lambda *_: 1e-3)
     with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside 'gel'"):
         press_env()
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.api.press_options import PressOptions
 from taccel_lab.cad.mesh.gel_mesh import kept_mesh, sound_gel_mesh
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.options import PressOptions
 from taccel_lab.processes.process_pool import usable_cores
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.with_error import with_error
@@ -186,12 +186,12 @@ def test_the_command_draws_in_a_process_beside(tmp_path):
 KERNELS = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
 
 
-@pytest.mark.thorough(cases=("sensors.profile", "api.press_run"))
+@pytest.mark.thorough(cases=("sensors.profile", "presses.run"))
 @pytest.mark.parametrize(
-    "module", ["api.press_picture", "report.figures", "sensors.profile", "api.press_run"]
+    "module", ["presses.scene_picture", "report.figures", "sensors.profile", "presses.run"]
 )
 def test_what_draws_or_plans_loads_no_solver(module):
-    absent = KERNELS if module == "api.press_run" else (*DRAWING, "warp")
+    absent = KERNELS if module == "presses.run" else (*DRAWING, "warp")
     assert loaded_by(f"import taccel_lab.{module}", *HEAVY, *absent, "scipy") == "set()"
 
 

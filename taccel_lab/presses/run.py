@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rigid indenter pressed into the gel of a sensor: one call, everything that the sensor reads.
-
-``press``, the commands ``press`` and ``demo`` and the rough presses of ``--like`` run a
-``PressRun``.
-"""
+"""A planned press, run: ``press``, the commands ``press`` and ``demo`` and the rough presses of
+``--like``."""
 
 from __future__ import annotations
 
@@ -12,29 +9,25 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.api.any_sensor import AnySensor
-from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import PressPhoto
-from taccel_lab.api.press_plan import PressPlan
 from taccel_lab.errors import SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.photo import PressPhoto
+from taccel_lab.presses.plan import PressPlan
 from taccel_lab.presses.touch import check_depth, deepest_mm
 from taccel_lab.processes.start_warp import first_step
 from taccel_lab.progress import watching_console
-from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.api.press_result import Press
     from taccel_lab.presses import PressOutcome, PressPath, PressPhysics, PressStep
-    from taccel_lab.presses.measured_press import NumericalError, Resolution
-    from taccel_lab.presses.press_force import StepProgress
+    from taccel_lab.presses.force_search import StepProgress
+    from taccel_lab.presses.numerical_error import NumericalError, Resolution
+    from taccel_lab.presses.press import Press
 
 
 TRIALS = 3
@@ -45,33 +38,6 @@ UNREAD = (
     "the simulated press is too shallow to be read as the photo is: place and depth are those of "
     "the photo's reading, which nothing corrects"
 )
-
-
-@typed
-def press(
-    sensor: AnySensor,
-    indenter: str | Path = PressOptions.indenter,
-    *,
-    progress: StepProgress | None = None,
-    **options: Any,
-) -> Press:
-    """Press an indenter into a sensor's gel.
-
-    Args:
-        sensor: A profile, the folder of one, a sensor of the catalogue, or a calibration.
-        indenter: Its shape, such as ``"sphere:4"``, see ``PressOptions.indenter``; or the path of
-            a mesh.
-        progress: Receives step, step count and what each step gave. When None, a bar is drawn where
-            somebody watches.
-        options: Fields of ``PressOptions``: ``depth_mm`` or ``force_n`` is needed.
-
-    Raises:
-        InputError: A sensor, shape, place, depth or setting that cannot be used.
-        SimulationError: A step did not converge; ``PressRun.run`` hands over those before it.
-    """
-    run = PressRun.plan(sensor, PressOptions.of(indenter=indenter, **options))
-    with steps_if_watched(progress, f"pressing {indenter} {run.options.aim()}") as on_step:
-        return run.run(on_step)
 
 
 class PressRun(PressPlan):
@@ -85,16 +51,16 @@ class PressRun(PressPlan):
         """Simulate the press. Where a step fails, or an interrupt comes, ``stopped`` is handed what
         was finished, if anything was; the error goes on."""
         # Loaded here: a plan is checked, and its scene drawn, without kernels.
-        from taccel_lab.api.press_page import write_press_page
-        from taccel_lab.api.press_result import Press
         from taccel_lab.presses import press_to_force
-        from taccel_lab.presses.measured_press import (
+        from taccel_lab.presses.force_search import ROUGH_TOLERANCE
+        from taccel_lab.presses.numerical_error import (
             AS_IT_IS,
             BESIDE,
             Resolution,
             measured_press,
         )
-        from taccel_lab.presses.press_force import ROUGH_TOLERANCE
+        from taccel_lab.presses.page import write_press_page
+        from taccel_lab.presses.press import Press
 
         started = time.perf_counter()
         run = self

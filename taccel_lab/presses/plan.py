@@ -8,9 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from taccel_lab.api.any_sensor import AnySensor, profile_of, reading_profile_of
-from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -19,7 +16,10 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
-from taccel_lab.presses.press_sweep import press_sweep
+from taccel_lab.presses.mesh import is_beside_edge, profile_press_mesh
+from taccel_lab.presses.options import PressOptions
+from taccel_lab.presses.photo import PhotoReader, PressPhoto
+from taccel_lab.presses.sweep import press_sweep
 from taccel_lab.presses.touch import check_depth
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
@@ -27,13 +27,13 @@ from taccel_lab.profile.assumed import is_modulus_known
 from taccel_lab.profile.measured_range import measured_range
 from taccel_lab.report.style import save_drawing
 from taccel_lab.scene import TriangleMesh
-from taccel_lab.sensors.press_mesh import is_beside_edge, profile_press_mesh
+from taccel_lab.sensors.any_sensor import AnySensor, profile_of, reading_profile_of
 from taccel_lab.sensors.registry import profile_sensor
 from taccel_lab.signals.color_model import ColorModel
 
 if TYPE_CHECKING:
     from taccel_lab.presses import Indenter, PressPath, PressPhysics
-    from taccel_lab.presses.press_outcome import FurtherView
+    from taccel_lab.presses.outcome import FurtherView
     from taccel_lab.profile import SensorProfile
 
 
@@ -55,8 +55,12 @@ class PressPlan:
     """Whether it only leads to another press: its error is not measured."""
 
     @classmethod
-    def plan(cls, sensor: AnySensor, options: PressOptions) -> Self:
-        """Refuse, before a mesh is made, all that can be rejected. Errors as of ``press``."""
+    def plan(
+        cls, sensor: AnySensor, options: PressOptions, photo_reader: PhotoReader | None = None
+    ) -> Self:
+        """Refuse, before a mesh is made, all that can be rejected. Errors as of ``press``.
+
+        ``photo_reader`` is needed with ``like``."""
         start_warp()
         require_device(options.device)
         options.require_aim()
@@ -70,7 +74,8 @@ class PressPlan:
         name = str(sensor) if isinstance(sensor, (str, Path)) else profile.sensor.name
         photo = None
         if options.like is not None:
-            photo = PressPhoto.read(profile, options.like, options.untouched)
+            assert photo_reader is not None
+            photo = PressPhoto.read(profile, options.like, options.untouched, photo_reader)
             options = replace(options, depth_mm=photo.depth_mm, at_mm=photo.at_mm)
         run = cls(name, profile, indenter, options, physics, friction, photo)
         options.path(run.first_mm)
@@ -89,7 +94,7 @@ class PressPlan:
         """Depth of the first press [mm]: the one asked for, or where the search begins."""
         if self.options.depth_mm is not None:
             return self.options.depth_mm
-        from taccel_lab.presses.press_force import FIRST_SHARE
+        from taccel_lab.presses.force_search import FIRST_SHARE
 
         return FIRST_SHARE * self.profile.gel.thickness_mm
 
@@ -138,7 +143,7 @@ class PressPlan:
     def write_scene(self, folder: Path, call: Call = at_once) -> Path:
         """Draw what is about to be pressed, which compiles nothing; returns the picture, which is
         there when ``call`` is done."""
-        from taccel_lab.api.press_picture import SCENE, draw_scene
+        from taccel_lab.presses.scene_picture import SCENE, draw_scene
 
         path, gel, family = folder / SCENE, self.gel, profile_sensor(self.profile)
         at_mm, aim = self.options.at_mm, self.options.aim()
@@ -149,7 +154,7 @@ class PressPlan:
     @cached_property
     def _views(self) -> dict[str, FurtherView]:
         """All cameras by name, the main one first, and the pad's face at rest on their pixels."""
-        from taccel_lab.presses.press_outcome import FurtherView
+        from taccel_lab.presses.outcome import FurtherView
         from taccel_lab.signals.rest_surface import rest_surface
 
         found = {}

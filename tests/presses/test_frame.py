@@ -15,7 +15,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import PressEnv, PressPath, normal_frame, parse_indenter
-from taccel_lab.presses.press_frame import PressFrames
+from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.touch import gel_below_m
 from taccel_lab.solvers import SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad

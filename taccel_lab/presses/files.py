@@ -17,8 +17,8 @@ from taccel_lab.files.atomic_file import eight_bit, write_by, write_image, write
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.optics.render import OpticalModel
-from taccel_lab.presses.press_outcome import PressOutcome
-from taccel_lab.presses.press_states import MARKERS, STATES, PressMarkers, PressStates, write_states
+from taccel_lab.presses.outcome import PressOutcome
+from taccel_lab.presses.states import MARKERS, STATES, PressMarkers, PressStates, write_states
 from taccel_lab.processes.process_pool import Call
 from taccel_lab.report.figures import (
     draw_contact_forces,

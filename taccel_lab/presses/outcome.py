@@ -20,11 +20,11 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
+from taccel_lab.presses.env import PressEnv
 from taccel_lab.presses.indenter import Indenter
+from taccel_lab.presses.path import HOLD_STEPS, PressPath
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
-from taccel_lab.presses.press_env import PressEnv
-from taccel_lab.presses.press_path import HOLD_STEPS, PressPath
-from taccel_lab.presses.press_states import PressStates, PressSurface
+from taccel_lab.presses.states import PressStates, PressSurface
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes

@@ -8,6 +8,7 @@ the difference, until that is small beside what the photo leaves open.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import eight_bit
+from taccel_lab.optics.image_measures import crop_slices, psnr_db
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from taccel_lab.reading.reader import Reader
     from taccel_lab.reading.reading import Reading
 
+PhotoReader = Callable[["SensorProfile", Path, Path | None], "Reader"]
+"""Reader of a photo, for its profile and the untouched image that a person gave."""
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
 _CORE = 0.5
@@ -103,23 +107,22 @@ class PressPhoto:
         return self.reader.background
 
     @classmethod
-    def read(cls, profile: SensorProfile, path: Path, background: Path | None = None) -> PressPhoto:
+    def read(
+        cls, profile: SensorProfile, path: Path, untouched: Path | None, reader_of: PhotoReader
+    ) -> PressPhoto:
         """Find the press in an image.
 
         Args:
             profile: With colours, to simulate them, and with normals or depths, to read them.
             path: The image.
-            background: Image of the untouched sensor in place of the profile's; with a starter
-                profile it is looked for beside the image.
+            untouched: Image of the untouched sensor in place of the profile's.
+            reader_of: Finds what the image is read against.
 
         Raises:
             InputError: A profile without these blocks, an image of another sensor, no contact, a
                 starter profile without an untouched image.
         """
-
-        from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.files.images import read_image
-        from taccel_lab.reading.reader import Reader
 
         if profile.color is None or profile.background_rgb is None:
             raise InputError(
@@ -127,10 +130,7 @@ class PressPhoto:
                 "no colours; calibrate them first"
             )
         image = read_image(path)
-        untouched = UntouchedFrame.of(profile, [path], background, option="--untouched")
-        reader = Reader(
-            untouched.profile, background=untouched.image, background_name=untouched.name
-        )
+        reader = reader_of(profile, path, untouched)
         reading = reader.read(image, str(path))
         seen = SeenPress.of(reading)
         if seen is None:
@@ -197,14 +197,11 @@ class PressPhoto:
             Place and depth; in the crop of 1.6 contact radii the peak signal-to-noise ratio [dB],
             the mean absolute error [levels], and both of the untouched image.
         """
-        from taccel_lab.calibration.capture.captures import ContactCircle
-        from taccel_lab.calibration.response.frame import crop_slices, psnr_db
-
         grid = profile.grid()
         u, v = grid.pixel_from_gel(np.array(self.at_mm))
         pixels = max(int(contact.sum()), 1)
         radius_px = float(np.sqrt(pixels * grid.mm_per_px_y / grid.mm_per_px_x / np.pi))
-        crop = crop_slices(ContactCircle(float(u), float(v), radius_px), grid)
+        crop = crop_slices((float(u), float(v)), radius_px, grid)
         seen, shown = self.rgb[crop], self.simulated(painted, profile)[crop]
         rest = self.background[crop]
         return {

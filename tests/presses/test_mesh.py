@@ -15,13 +15,13 @@ from taccel_lab.cad.mesh.quality import measure_quality
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.contact_sweep import ContactSweep
-from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import PressEnv, PressMeshOptions, normal_frame, parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.mesh import pad_press_mesh, press_mesh, refined_press_mesh
+from taccel_lab.presses.mesh_options import DEFAULT_PRESS_MESH
 from taccel_lab.scene import Material
-from taccel_lab.sensors.press_mesh import pad_press_mesh, press_mesh, refined_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from tests.cad.pads import check_same, contact_edges

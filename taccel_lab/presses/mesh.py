@@ -30,13 +30,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.bisection import bisected
 from taccel_lab.geometry.contact_sweep import AT_REST, ContactSweep
-from taccel_lab.geometry.press_mesh_options import (
+from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.presses.mesh_options import (
     DEFAULT_PRESS_MESH,
     EDGE_RADII,
     OutlineMeshOptions,
     PressMeshOptions,
 )
-from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.sensors.registry import profile_parameters, sensor_family
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.geometry.contact_sweep import AT_REST, ContactSweep
 from taccel_lab.presses import PressPath, parse_indenter
-from taccel_lab.presses.press_sweep import press_sweep
+from taccel_lab.presses.sweep import press_sweep
 
 
 def slip(friction: float, shear_mm: float, depth_mm: float = 0.3, radius_mm: float = 1.1) -> float:

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.api.press_photo import LIKE
 from taccel_lab.files.atomic_file import eight_bit, write_by, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
-from taccel_lab.presses.force_interval import ForceInterval, force_causes, force_power
-from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
-from taccel_lab.presses.press_files import (
+from taccel_lab.presses.files import (
     VIEWS,
     painted_images,
     predicted_image,
     write_press,
     write_seen,
 )
-from taccel_lab.presses.press_states import PressMarkers
+from taccel_lab.presses.force_interval import ForceInterval, force_causes, force_power
+from taccel_lab.presses.numerical_error import SignalError, height_error_mm, image_error_levels
+from taccel_lab.presses.photo import LIKE
+from taccel_lab.presses.states import PressMarkers
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.report.style import save_figure
 from taccel_lab.sensors.starters import is_starter
@@ -35,9 +35,9 @@ from taccel_lab.with_error import with_error
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.api.press_plan import PressPlan
     from taccel_lab.presses import PressOutcome
-    from taccel_lab.presses.measured_press import NumericalError
+    from taccel_lab.presses.numerical_error import NumericalError
+    from taccel_lab.presses.plan import PressPlan
 
 TIMES = "times.json"
 """File of a press folder: what the press and each step took [s]."""

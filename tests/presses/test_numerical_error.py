@@ -12,7 +12,7 @@ import pytest
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy, PressOutcome
-from taccel_lab.presses.measured_press import (
+from taccel_lab.presses.numerical_error import (
     AS_IT_IS,
     BESIDE,
     LEFT_BY_FRICTION,

@@ -25,10 +25,10 @@ from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force
+from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.indenter import Indenter
+from taccel_lab.presses.path import SPEED_MM_S, PressPath
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressError, PressPhysics, expected_error
-from taccel_lab.presses.press_frame import PressFrames
-from taccel_lab.presses.press_path import SPEED_MM_S, PressPath
 from taccel_lab.presses.touch import (
     MAX_DEPTH_FRACTION,
     first_touch_m,
@@ -106,7 +106,7 @@ class PressEnv:
             friction_coefficient: Between indenter and gel.
             rest_positions_m: Rest shape of each environment [m], [env_count, node_count, 3].
             gel_from_press: Frames in which the indenters come down along -z, shear and twist
-                [env_count, 7], see ``press_frame``; the gel frame when None.
+                [env_count, 7], see ``frame``; the gel frame when None.
             physics: Element, contact range and tolerance; ``mesh`` is the caller's choice. With
                 quadratic elements ``positions`` and forces are those of the nodes of ``mesh`` here,
                 which has more than the one passed in.

@@ -137,7 +137,7 @@ class PressOptions:
         """Return the path to a depth [mm], then with ``aside`` its shear and twist, hold and way
         back."""
         from taccel_lab.presses import PressPath
-        from taccel_lab.presses.press_path import SPEED_MM_S
+        from taccel_lab.presses.path import SPEED_MM_S
 
         shear_mm, twist_deg = (self.shear_mm, self.twist_deg) if aside else ((0.0, 0.0), 0.0)
         return PressPath(
@@ -165,7 +165,7 @@ class PressOptions:
         InputError names an option that the solver does not take."""
         from taccel_lab.bodies.bodies import check_friction
         from taccel_lab.presses import PHYSICS, Accuracy
-        from taccel_lab.presses.measured_press import MOST_LEVELS
+        from taccel_lab.presses.numerical_error import MOST_LEVELS
         from taccel_lab.presses.physics import parse_accuracy
         from taccel_lab.scene import Element
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_plan import PressPlan
-from taccel_lab.api.press_result import Press
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.options import PressOptions
+from taccel_lab.presses.plan import PressPlan
+from taccel_lab.presses.press import Press
 from taccel_lab.profile import NormalsBlock, PerturbationBlock
 from taccel_lab.reading.reader import Reader
 from tests.networks.weights import random_weights
@@ -315,7 +315,7 @@ def press(changes: dict[str, Any]) -> Press:
     rgb = LIGHT + MOVED_MM[..., None] * TINTS
     images = iter([(rgb, None), (rgb - asked["beside"], None)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taccel_lab.api.press_result.painted_images", lambda *_: next(images))
+        patch.setattr("taccel_lab.presses.press.painted_images", lambda *_: next(images))
         assert found.image_error is not None
     return found
 

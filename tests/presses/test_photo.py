@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import PressPhoto, SeenPress
-from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
+from taccel_lab.api.press import photo_reader, planned_press
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses.options import PressOptions
+from taccel_lab.presses.photo import PressPhoto, SeenPress
+from taccel_lab.presses.run import UNREAD, PressRun, like_photo
 from taccel_lab.reading.directions import Directions
 from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.touch import Touch
@@ -190,7 +191,7 @@ def corrected(run: PressRun, rgb: np.ndarray) -> tuple[PressRun, list[PressRun]]
 @pytest.mark.thorough
 def test_what_the_simulation_cannot_show_is_said(photo, unit):
     """A rough press that leaves no trace in its image corrects nothing."""
-    run = PressRun.plan(SENSOR, PressOptions(indenter="sphere:4", like=photo))
+    run = planned_press(SENSOR, PressOptions(indenter="sphere:4", like=photo))
     found, asked = corrected(run, unit.background_rgb)
     assert found.photo.warnings == (*run.photo.warnings, UNREAD)
     assert found.options == run.options
@@ -201,7 +202,7 @@ def test_what_the_simulation_cannot_show_is_said(photo, unit):
 def test_a_rough_press_ends_as_the_photo_does(photo):
     """Sideways, but not back to where nothing is seen; its steps are not kept."""
     back = {"shear_mm": (0.2, 0.0), "unload": True, "states": True}
-    run = PressRun.plan(SENSOR, PressOptions(indenter="sphere:4", like=photo, **back))
+    run = planned_press(SENSOR, PressOptions(indenter="sphere:4", like=photo, **back))
     found, (rough,) = corrected(run, run.photo.rgb)
     assert (rough.options.shear_mm, rough.options.unload) == ((0.2, 0.0), False)
     assert not rough.options.states and found.photo is not None
@@ -214,7 +215,10 @@ def test_a_rough_press_ends_as_the_photo_does(photo):
 def test_another_background_takes_the_place_of_the_profiles(photo, unit, tmp_path):
     """Of photo and background that are darker alike, nothing else changes."""
     write_image(tmp_path / "untouched.png", unit.background_rgb)
-    own, given = (PressPhoto.read(unit, photo, path) for path in (None, tmp_path / "untouched.png"))
+    own, given = (
+        PressPhoto.read(unit, photo, path, photo_reader)
+        for path in (None, tmp_path / "untouched.png")
+    )
     np.testing.assert_allclose(own.at_mm, given.at_mm, atol=0.02)
     assert own.depth_mm == pytest.approx(given.depth_mm, abs=0.02)
     moved = own.simulated(unit.background_rgb.astype(np.float64), unit)

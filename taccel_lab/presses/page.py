@@ -18,9 +18,9 @@ from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.with_error import to_error, with_error
 
 if TYPE_CHECKING:
-    from taccel_lab.api.press_result import Press
     from taccel_lab.presses import PressPath
-    from taccel_lab.presses.measured_press import SignalError
+    from taccel_lab.presses.numerical_error import SignalError
+    from taccel_lab.presses.press import Press
 
 _PICTURES = {
     "scene.png": "What is pressed where, and the gel's mesh.",

@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.guards import require_positive
-from taccel_lab.presses.press_outcome import PressOutcome, PressStep
+from taccel_lab.presses.outcome import PressOutcome, PressStep
 
 FORCE_TOLERANCE = 0.01
 """How far a press may end from the force that was asked for, as a part of it."""

@@ -15,9 +15,9 @@ import taccel_lab as tl
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Indenter, simulate_press
-from taccel_lab.presses.press_path import HOLD_STEPS
+from taccel_lab.presses.mesh import press_mesh
+from taccel_lab.presses.path import HOLD_STEPS
 from taccel_lab.scene import MaxwellBranch
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.rest_surface import rest_surface

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.press_path import PressPath
+from taccel_lab.presses.path import PressPath
 
 _BALL_SHARE = 2 / 3
 """Force of a ball over that of a flat punch of its contact radius, as deep [Hertz]."""

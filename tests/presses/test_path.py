@@ -17,8 +17,8 @@ from scipy.integrate import quad
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.presses import PressPath, PressStep, press_to_force
-from taccel_lab.presses.press_force import by_power_law
-from taccel_lab.presses.press_path import TIME_SHARE
+from taccel_lab.presses.force_search import by_power_law
+from taccel_lab.presses.path import TIME_SHARE
 from taccel_lab.scene import MaxwellBranch
 
 lengths = st.floats(-5, 5)
