@@ -39,6 +39,8 @@ class Rules:
     max_cuts: wp.int32
     has_joints: wp.int32
     has_friction: wp.int32
+    is_held: wp.int32
+    """Whether all that moves without being told to are gels at rest that touch no gels."""
     few: wp.int32
     some: wp.int32
     """Environments that stand on a list once no more are left."""
@@ -192,6 +194,8 @@ class Curvature:
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
     psd_mode: wp.array(dtype=wp.int32)
     """PSD_* of the next matrix: projected, or as it is."""
+    element_mode: wp.array(dtype=wp.int32)
+    """The same of its elements."""
     projected: wp.array(dtype=wp.int32)
     """Iterations for which matrices are projected in any case."""
 
@@ -395,6 +399,7 @@ def make_rules(
     affine_energy_rounding: float,
     joint_tolerance_m: float | None,
     has_friction: bool,
+    is_held: bool,
 ) -> Rules:
     """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
     rules = Rules()
@@ -410,5 +415,6 @@ def make_rules(
     rules.max_cuts = config.max_line_search_cuts
     rules.has_joints = int(joint_tolerance_m is not None)
     rules.has_friction = int(has_friction)
+    rules.is_held = int(is_held)
     rules.few, rules.some = FEW, SOME
     return rules

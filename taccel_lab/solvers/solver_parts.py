@@ -248,6 +248,7 @@ class SolverParts:
             self.affine.energy_rounding if self.affine else 0.0,
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
+            self.inertia is None and self.affine is None and not model.contact_plan.soft_to_soft,
         )
         soft = len(scene.soft_bodies)
         carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]
