@@ -11,7 +11,7 @@ they draw keeps it in all channels, as does one without optics.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -169,7 +169,8 @@ class GelCamera:
         """Where the sight lines of pixels enter the gel [mm] and their unit directions in it, both
         [..., 3], NaN for none; of all pixels, [height_px, width_px, 3], when None."""
         if uv_px is None:
-            uv_px = np.stack(np.meshgrid(np.arange(self.width_px), np.arange(self.height_px)), -1)
+            entry, direction = _lines_of_all(self.camera, self.media)
+            return entry.copy(), direction.copy()
         entry, direction, _ = self.media.trace(*self.model.rays(np.asarray(uv_px)))
         return entry, direction
 
@@ -216,6 +217,14 @@ class GelCamera:
             kind(**{name: tuple(values) for name, values in media.items()}),
             PixelGrid(**record["face"]),
         )
+
+
+@lru_cache(maxsize=4)
+def _lines_of_all(camera: DesignedCamera, media: Media) -> tuple[np.ndarray, np.ndarray]:
+    """Sight lines of all pixels: presses of a sensor look through the same again and again."""
+    uv_px = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), -1)
+    entry, direction, _ = media.trace(*CameraModel(camera).rays(uv_px))
+    return entry, direction
 
 
 View = PixelGrid | GelCamera

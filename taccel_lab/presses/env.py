@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -25,6 +26,7 @@ from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force
+from taccel_lab.presses.ahead import SqueezedColumns
 from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.path import SPEED_MM_S, PressPath
@@ -169,6 +171,12 @@ class PressEnv:
         self.setback_m = np.full(env_count, dhat)
         """Distance by which each indenter is held back [m]: the mean gap of its contact, dhat
         without one; shape [env_count]."""
+        self._ahead: SqueezedColumns | None = None
+        """Where steps straight down look ahead; None where nothing is known."""
+        if isinstance(indenter.shape, Ball) and gel_from_press is None and len(rest) == 1:
+            radius_m = indenter.shape.radius_m
+            ways = self.model, contact, self.touch_m, radius_m, dhat
+            self._ahead = SqueezedColumns(*ways)
         self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)
@@ -308,13 +316,17 @@ class PressEnv:
         """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
         fails. ``resting`` (bool, [env_count]) are left alone."""
         stay = resting.copy()
+        straight = not (shear_m.any() or self._shear_m.any() or np.any(twist_rad))
         report: StepReport | None = None
         for left in reversed(range(SETBACK_ROUNDS)):
             target = self._poses(depth_m, shear_m, twist_rad)
             target[resting] = self.poses[resting]
             again = report is not None
             control = Control(target, dt_s=dt_s)
-            found = self.solver.step(self.state, control, who=~resting, again=again)
+            ahead = None
+            if self._ahead is not None and straight and not again:
+                ahead = partial(self._ahead.write, self.state, target)
+            found = self.solver.step(self.state, control, who=~resting, again=again, ahead=ahead)
             report = report.followed_by(found) if report is not None else found
             resting |= ~found.converged
             gap = self._mean_gap_m()

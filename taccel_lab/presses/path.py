@@ -121,6 +121,12 @@ class PressPath:
             total += branch.relative_modulus * even * float(growth @ left)
         return total
 
+    @property
+    def is_straight_down(self) -> bool:
+        """Whether it ends at full depth as soon as it is there, right above where it began."""
+        aside = any((*self.shear_mm, self.twist_deg))
+        return not (aside or self.back or self.hold_s > 0)
+
     def way_there(self) -> list[Waypoint]:
         """Return the waypoints down and aside, before a hold."""
         down = max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))

@@ -224,7 +224,7 @@ class FineSurface:
         self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
         if designed_rest is not None:
-            designed = designed_rest.samples()
+            designed = designed_rest.samples
             self.rest_samples = wp.array(designed, dtype=wp.vec3f, device=device)
             if not designed_rest.is_flat:
                 # Far from a contact chords of the mesh cut the border of a dome's face.

@@ -73,6 +73,6 @@ def levels_of_heights(profile: SensorProfile, height_m: np.ndarray) -> np.ndarra
         depth_mm = np.where(np.isfinite(rise_m), -1e3 * rise_m, 0.0)
         return response.render(depth_mm, profile.background_rgb)
     # The rest's own slopes: what has not moved shows the background exactly.
-    slope = slopes_from_height(rise_m, grid) + rest.samples()[..., :2]
+    slope = slopes_from_height(rise_m, grid) + rest.samples[..., :2]
     face = _Face(height_m, rest.height_m, normals_from_slopes(slope), rest.normals)
     return tactile_image(model, profile.background_rgb, face)

@@ -8,6 +8,7 @@ beside the pad take the height and slope of the nearest pixel over it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,9 @@ class RestSurface:
     covered: np.ndarray
     """Pixels that lie over the pad, bool, shape [height_px, width_px]."""
 
+    @cached_property
     def samples(self) -> np.ndarray:
-        """Slopes along x and y and height [m], [height_px, width_px, 3]."""
+        """Slopes along x and y and height [m], [height_px, width_px, 3]; not to be changed."""
         slope = -self.normals[..., :2] / self.normals[..., 2:]
         return np.concatenate([slope, self.height_m[..., None]], axis=-1)
 
@@ -55,7 +57,7 @@ class RestSurface:
         Returns:
             Samples, NaN where only the mesh has no face, 0 beside this one.
         """
-        samples = self.samples()
+        samples = self.samples
         known = self.covered & np.isfinite(samples).all(axis=-1)
         return np.where(known[..., None], samples - meshed, 0.0)
 

@@ -111,7 +111,8 @@ def _aim_step_kernel(
         p.curvature.element_mode[env] = PSD_NONE
     renewed[env] = 1 - p.counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
-    if progress < one or p.counts.newton[env] == 0:
+    first = p.counts.newton[env] == 0 and p.roster.ahead[env] == 0
+    if progress < one or first:
         whole = wp.float64(0.3) / wp.max(p.balance.excess[env], wp.float64(1.0e-300))
         linear_tolerances[env] = wp.clamp(whole, wp.float64(1.0e-6), LINEAR_TOLERANCE)
     p.balance.last_residual[env] = p.balance.residual[env]

@@ -67,6 +67,8 @@ class Roster:
     """Mask of those whose step is rolled back in this call."""
     again: wp.array(dtype=wp.int32)
     """Mask of those that take the step before again: it begins where that began."""
+    ahead: wp.array(dtype=wp.int32)
+    """Mask of those that search from where the caller says, see ``SolverIPC.step``."""
     inverted_before: wp.array(dtype=wp.int32)
     """Mask of those with an inverted element at the start, in materials that bear it."""
     inverted_after: wp.array(dtype=wp.int32)

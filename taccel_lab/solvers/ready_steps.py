@@ -73,6 +73,7 @@ class ReadySteps:
             solver.follow_parameters()
             solver.search_overlaps(state)
             solver.orders.tell("again", solver.nobody)
+            solver.orders.look(None)
             solver.limit_rounds(self.iterations)
             report = solver.attempt_once(who | progress.again, who, solver.everyone)
             progress.underway |= who

@@ -105,6 +105,7 @@ class SolverIPC(SolverParts):
         *,
         who: np.ndarray | None = None,
         again: bool = False,
+        ahead: Callable[[wp.array], None] | None = None,
     ) -> StepReport:
         """Advance ``state`` in place by dt.
 
@@ -114,6 +115,9 @@ class SolverIPC(SolverParts):
         ``again``: take the latest step again to other targets. ``state`` is where it ended, which
         is where the search starts; friction counts sliding from where it began, or where its last
         part did if it was halved. For quasi-static scenes without joints.
+        ``ahead``: writes where free nodes of gels may be once the kinematic bodies have arrived
+        [m], vec3d, [env_count, node_count]. The search starts there where no element is inside out;
+        that no node is inside a body, the caller sees to.
         Environments that fail are tried in halves of the step, up to ``max_substep_halvings``
         times and ``max_step_iterations`` Newton iterations; one that fails even so is rolled back
         to the start of the whole step and flagged.
@@ -136,8 +140,10 @@ class SolverIPC(SolverParts):
             self.search_overlaps(state)
             self.begin(state)
             self.orders.tell("again", self.everyone if again else self.nobody)
+            self.orders.look(ahead)
             self.limit_rounds(NO_LIMIT)
             report = self._attempt(who, dt, whole=True)
+            self.orders.look(None)
             report = self.find_blocked(state, report, who)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
                 report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
@@ -283,12 +289,6 @@ class SolverIPC(SolverParts):
         failed = who & ~report.converged & (report.status != int(EnvStatus.OVERLAP))
         return flagged_blocked(report, self.ways.of_step(state, self.end_poses, failed))
 
-    def limit_rounds(self, most: int) -> None:
-        """Set the rounds after which a call ends, whoever is underway."""
-        if self._rounds != most:
-            self.progress.flags.most_rounds.fill_(most)
-            self._rounds = most
-
     def take(self, control: Control | Any, state: State, mask: np.ndarray | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the
         environments of ``mask`` (bool, [env_count]), in all when None; returns dt [s]. Targets are
@@ -384,7 +384,7 @@ class SolverIPC(SolverParts):
             self.graph.clear()
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
             self.orders.tell(name, mask)
-        self.orders.send()
+        self.orders.send(self.trial)
         self.progress.report.outdate()
         launch_step(self.graph, self)
         self.progress.report.fetch()

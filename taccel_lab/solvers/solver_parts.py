@@ -264,6 +264,12 @@ class SolverParts:
         self.few_places, self.some_places = list_places(model)
         self.share_energies()
 
+    def limit_rounds(self, most: int) -> None:
+        """Set the rounds after which a call ends, whoever is underway."""
+        if self._rounds != most:
+            self.progress.flags.most_rounds.fill_(most)
+            self._rounds = most
+
     @property
     def active(self) -> wp.array:
         """Mask of the environments that a step works on, int32, shape [env_count]."""

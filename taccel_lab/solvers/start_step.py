@@ -4,6 +4,7 @@
 - Where frames move as they did in the last step, all goes on at its last velocity: in a steady
   motion, a grasp that is carried or a gel that is dragged, that is all but the answer, and one
   Newton iteration in three is saved.
+- Where the caller knows about where a gel will be (``SolverIPC.step``), it is there.
 - An affine body that touches nothing and turns is placed where free flight leads it, with its
   joints closed: straight steps have to follow the curved set of rotations in short pieces, and a
   body of 1 GPa that turns by 0.04 a step takes 16 of them.
@@ -22,6 +23,7 @@ from taccel_lab.ipc.motion.unknowns import coast, keep_steady, subtract_rows
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows, zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.limit_step import find_pairs, limit_step
@@ -45,9 +47,32 @@ def _choose_momentum_kernel(p: Progress):
     env = wp.tid()
     if env == 0:
         p.flags.any_flight[0] = 0
-    fresh = p.phases.fresh[env] != 0 and p.roster.again[env] == 0
+    fresh = p.phases.fresh[env] != 0 and p.roster.again[env] + p.roster.ahead[env] == 0
     if fresh and p.prescribed.progress[env] < wp.float64(1.0):
         enter(env, STARTING, p)
+
+
+@wp.kernel
+def _choose_ahead_kernel(p: Progress):
+    """Choose the environments whose caller has said where they may be."""
+    env = wp.tid()
+    if p.phases.fresh[env] != 0 and p.roster.ahead[env] != 0:
+        enter(env, STARTING, p)
+
+
+@wp.kernel
+def _ahead_kernel(
+    nodes: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    places: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    p: Progress,
+):
+    """The way of free nodes to ``places``."""
+    env, i = wp.tid()
+    if p.phases.fresh[env] != 0 and p.roster.ahead[env] != 0:
+        node = nodes[i]
+        displacements[env, node] = places[env, node] - positions[env, node]
 
 
 @wp.kernel
@@ -74,7 +99,8 @@ def _keep_free_kernel(collisions: ListRoom, p: Progress):
     p.prescribed.goal[env] = wp.float64(1.0)
     if p.phases.flying[env] != 0:
         p.prescribed.goal[env] = p.prescribed.progress[env]
-    if p.clearance.limit[env] < wp.float64(1.0):
+    # A straight way ahead leads through what the tool pushes aside.
+    if p.clearance.limit[env] < wp.float64(1.0) and p.roster.ahead[env] == 0:
         leave(env, p)
         return
     begin_trial(env, collisions, p)
@@ -162,11 +188,16 @@ def plan_start(run: StepLaunches) -> None:
     s, p, state = run.s, run.p, run.state
     model, displacements = run.model, s.displacements
     run.decide(_choose_momentum_kernel)
+    path = (state.poses, s.end_poses)
     if model.kinematic:
-        path = (state.poses, s.end_poses)
         s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, displacements)
         keep_steady(model, p.phases.inner, s.dts, state.velocities, displacements, _LARGEST_CHANGE)
     coast(model, p.phases.inner, s.dts, state.velocities, displacements)
+    if s.orders.looks_ahead:
+        run.decide(_choose_ahead_kernel)
+        s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, displacements)
+        ways = [model.free_nodes, state.positions, s.trial, displacements, p.struct]
+        launch(_ahead_kernel, (model.env_count, model.free_count), *ways)
     if s.affine is not None and s.inertia is not None:
         copy_rows(p.phases.fresh, state.positions, s.trial)
         forces, inertial = p.balance.body_forces, s.inertia.predictions

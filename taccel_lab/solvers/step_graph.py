@@ -79,6 +79,10 @@ def launch_step(graph: CapturedWork, solver: SolverParts) -> None:
     """Take a step of the environments in ``progress.roster.who`` to ``end_poses``."""
     # Arrays of lists may have got other memory since, whoever made room in them.
     moves = (part.moves for part in solver.lists)
-    kernels = (solver.load is not None, *(part.capacity > 0 for part in solver.lists))
+    kernels = (
+        solver.load is not None,
+        solver.orders.looks_ahead,
+        *(part.capacity > 0 for part in solver.lists),
+    )
     arrays = (solver.model.moves, kernels, *moves)
     graph.launch(arrays, lambda: take_step(StepLaunches(solver)), kernels)

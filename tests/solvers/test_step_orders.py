@@ -28,7 +28,8 @@ def test_masks_and_targets_arrive_together_and_alone(device: str) -> None:
     orders.tell("again", np.array([False, True, False]))
     orders.aim(targets)
     orders.send()
-    told = {"who": [0, 0, 0], "reads": [1, 0, 1], "writes": [0, 0, 0], "again": [0, 1, 0]}
+    none = [0, 0, 0]
+    told = {"who": none, "reads": [1, 0, 1], "writes": none, "again": [0, 1, 0], "ahead": none}
     assert held(orders) == told
     assert orders.targets.shape == (3, 2)
     np.testing.assert_array_equal(orders.targets.numpy().reshape(3, 2, 7), targets)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a gel may be once a ball has come down on it: the search for a step starts there.
+
+Each column of the gel along the press is squeezed evenly by what the ball takes of it. That is no
+solution, as nothing gives way sideways, but no node is in the ball, and one Newton iteration finds
+the rest: a ball 0.6 mm deep needs 7 in place of 21. From where the gel was, most iterations go into
+taking it along, as the tool can come no nearer than the gel has given way.
+
+Deep inside the last contact what the columns left out of it stays: under friction it sticks there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
+from taccel_lab.state import State
+
+wp.set_module_options({"enable_backward": False})
+
+_GAP = wp.constant(wp.float64(0.6))
+"""Gap to the ball, over the contact range: about that of a contact that presses."""
+_LEAST_GAP = wp.constant(wp.float64(0.3))
+_DEEP = wp.constant(wp.float64(0.3))
+"""Part of the last depth from which on a column keeps what the squeeze left out."""
+
+
+@wp.func
+def _taken(x: wp.vec3d, top: wp.float64, centre: wp.vec3d, radius: wp.float64) -> wp.float64:
+    """Length of the column through ``x`` that a ball takes [m]."""
+    across_sq = wp.pow(x[0] - centre[0], wp.float64(2.0)) + wp.pow(
+        x[1] - centre[1], wp.float64(2.0)
+    )
+    chord_sq = radius * radius - across_sq
+    if chord_sq <= wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.max(top - centre[2] + wp.sqrt(chord_sq), wp.float64(0.0))
+
+
+@wp.kernel
+def _squeeze_kernel(
+    rest: wp.array2d(dtype=wp.vec3d),
+    tops: wp.array(dtype=wp.float64),
+    shares: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
+    targets: wp.array2d(dtype=wp.transformd),
+    touches: wp.array(dtype=wp.float64),
+    radius: wp.float64,
+    dhat: wp.float64,
+    places: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    x = rest[env % rest.shape[0], node]
+    was = wp.transform_get_translation(poses[env, 0])
+    centre = wp.transform_get_translation(targets[env, 0])
+    wide = radius + _GAP * dhat
+    down = wp.vec3d(wp.float64(0.0), wp.float64(0.0), -shares[node])
+    before = _taken(x, tops[node], was, wide)
+    deepest = touches[env] - was[2]
+    kept = wp.float64(0.0)
+    if deepest > wp.float64(0.0):
+        kept = wp.min(before / (_DEEP * deepest), wp.float64(1.0))
+    place = x + _taken(x, tops[node], centre, wide) * down
+    place += kept * (positions[env, node] - x - before * down)
+    least = radius + _LEAST_GAP * dhat
+    apart = place - centre
+    if wp.length_sq(apart) < least * least:
+        place = centre + least * wp.normalize(apart)
+    places[env, node] = place
+
+
+def _heights_over(points: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """Height of a face straight over or under points [m], [n, 3], by points on it, [m, 3]; beside
+    it that of the nearest of these."""
+    if np.ptp(face[:, 2]) == 0.0:
+        return np.full(len(points), face[0, 2])
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    over = LinearNDInterpolator(face[:, :2], face[:, 2])(points[:, :2])
+    beside = np.isnan(over)
+    over[beside] = NearestNDInterpolator(face[:, :2], face[:, 2])(points[beside, :2])
+    return over
+
+
+class SqueezedColumns:
+    """Columns along z of a gel whose environments have one rest shape, under a ball."""
+
+    def __init__(
+        self,
+        model: Model,
+        contact: np.ndarray,
+        touch_m: np.ndarray,
+        radius_m: float,
+        dhat_m: float,
+    ) -> None:
+        """
+        Args:
+            model: Of the gel and the ball, its only kinematic body.
+            contact: Faces of the gel that the ball may touch, [face, 3].
+            touch_m: Height of the ball's centre at first touch [m], [env_count].
+            radius_m: Of the ball [m].
+            dhat_m: Contact range [m].
+        """
+        rest = model.rest_positions.numpy()[0, : model.soft_count]
+        nodes = np.unique(contact)
+        tops, low = _heights_over(rest, rest[nodes]), rest[:, 2].min()
+        shares = np.clip((rest[:, 2] - low) / np.maximum(tops - low, 1e-9), 0.0, 1.0)
+        device = model.device
+        self._model, self._radius, self._dhat = model, radius_m, dhat_m
+        self._tops = wp.array(tops, dtype=wp.float64, device=device)
+        self._shares = wp.array(shares, dtype=wp.float64, device=device)
+        self._touches = wp.array(touch_m, dtype=wp.float64, device=device)
+
+    def write(self, state: State, target_poses: np.ndarray, places: wp.array) -> None:
+        """Write where the nodes of the gel may be with the balls at poses, [env_count, 1, 7], after
+        a state; to the first of ``places`` [m], vec3d, [env_count, node_count]."""
+        m = self._model
+        targets = wp.array(target_poses, dtype=wp.transformd, device=m.device)
+        inputs = [m.rest_positions, self._tops, self._shares, state.positions, state.poses]
+        inputs += [targets, self._touches, self._radius, self._dhat, places]
+        launch(_squeeze_kernel, (m.env_count, m.soft_count), *inputs)
