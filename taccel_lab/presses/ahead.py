@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a gel may be once a ball has come down on it: the search for a step starts there.
 
-Each column of the gel along the press is squeezed evenly by what the ball takes of it. That is no
-solution, as nothing gives way sideways, but no node is in the ball, and one Newton iteration finds
-the rest: a ball 0.6 mm deep needs 7 in place of 21. From where the gel was, most iterations go into
-taking it along, as the tool can come no nearer than the gel has given way.
+- Until the ball touches, each column of the gel along the press is squeezed evenly by what the ball
+  will take of it. That is no solution, as nothing gives way sideways, but a ball that comes 0.6 mm
+  deep at once needs 7 iterations in place of 21.
+- After that all goes on as in the last step, by as much as the ball does, and nodes that would be
+  in it are put beside it.
 
-Deep inside the last contact what the columns left out of it stays: under friction it sticks there.
+From where the gel was, most iterations go into taking it along, as the tool can come no nearer than
+the gel has given way.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ wp.set_module_options({"enable_backward": False})
 
 _GAP = wp.constant(wp.float64(0.6))
 """Gap to the ball, over the contact range: about that of a contact that presses."""
+_FASTEST = 2.0
+"""Longest step over the last one that all goes on in as it did there."""
 _LEAST_GAP = wp.constant(wp.float64(0.3))
-_DEEP = wp.constant(wp.float64(0.3))
-"""Part of the last depth from which on a column keeps what the squeeze left out."""
 
 
 @wp.func
@@ -40,11 +42,12 @@ def _taken(x: wp.vec3d, top: wp.float64, centre: wp.vec3d, radius: wp.float64) -
 
 
 @wp.kernel
-def _squeeze_kernel(
+def _ahead_kernel(
     rest: wp.array2d(dtype=wp.vec3d),
     tops: wp.array(dtype=wp.float64),
     shares: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    velocities: wp.array2d(dtype=wp.vec3d),
     poses: wp.array2d(dtype=wp.transformd),
     targets: wp.array2d(dtype=wp.transformd),
     touches: wp.array(dtype=wp.float64),
@@ -53,18 +56,19 @@ def _squeeze_kernel(
     places: wp.array2d(dtype=wp.vec3d),
 ):
     env, node = wp.tid()
-    x = rest[env % rest.shape[0], node]
     was = wp.transform_get_translation(poses[env, 0])
     centre = wp.transform_get_translation(targets[env, 0])
-    wide = radius + _GAP * dhat
-    down = wp.vec3d(wp.float64(0.0), wp.float64(0.0), -shares[node])
-    before = _taken(x, tops[node], was, wide)
-    deepest = touches[env] - was[2]
-    kept = wp.float64(0.0)
-    if deepest > wp.float64(0.0):
-        kept = wp.min(before / (_DEEP * deepest), wp.float64(1.0))
-    place = x + _taken(x, tops[node], centre, wide) * down
-    place += kept * (positions[env, node] - x - before * down)
+    place = wp.vec3d()
+    if was[2] > touches[env]:
+        place = rest[env % rest.shape[0], node]
+        taken = _taken(place, tops[node], centre, radius + _GAP * dhat)
+        place[2] = place[2] - shares[node] * taken
+    else:
+        # The only node of a ball follows those of the gel.
+        speed = velocities[env, tops.shape[0]][2]
+        place = positions[env, node]
+        if speed != wp.float64(0.0):
+            place += (centre[2] - was[2]) / speed * velocities[env, node]
     least = radius + _LEAST_GAP * dhat
     apart = place - centre
     if wp.length_sq(apart) < least * least:
@@ -85,8 +89,8 @@ def _heights_over(points: np.ndarray, face: np.ndarray) -> np.ndarray:
     return over
 
 
-class SqueezedColumns:
-    """Columns along z of a gel whose environments have one rest shape, under a ball."""
+class WayAhead:
+    """Of a gel whose environments have one rest shape, under a ball that goes along z."""
 
     def __init__(
         self,
@@ -116,9 +120,22 @@ class SqueezedColumns:
 
     def write(self, state: State, target_poses: np.ndarray, places: wp.array) -> None:
         """Write where the nodes of the gel may be with the balls at poses, [env_count, 1, 7], after
-        a state; to the first of ``places`` [m], vec3d, [env_count, node_count]."""
+        a state; to the first of ``places`` [m], vec3d, [env_count, node_count]. See
+        ``goes_on``."""
         m = self._model
         targets = wp.array(target_poses, dtype=wp.transformd, device=m.device)
-        inputs = [m.rest_positions, self._tops, self._shares, state.positions, state.poses]
-        inputs += [targets, self._touches, self._radius, self._dhat, places]
-        launch(_squeeze_kernel, (m.env_count, m.soft_count), *inputs)
+        inputs = [m.rest_positions, self._tops, self._shares, state.positions, state.velocities]
+        inputs += [state.poses, targets, self._touches, self._radius, self._dhat, places]
+        launch(_ahead_kernel, (m.env_count, m.soft_count), *inputs)
+
+
+def goes_on(way_m: np.ndarray, last_m: np.ndarray, depth_m: np.ndarray) -> bool:
+    """Whether all balls go on as they did in their last step, or do not touch yet.
+
+    Args:
+        way_m: Change of the depths in this step [m].
+        last_m: In the last one [m].
+        depth_m: Depths past first touch before it [m].
+    """
+    steady = (way_m * last_m > 0) & (np.abs(way_m) <= _FASTEST * np.abs(last_m))
+    return bool(np.where(depth_m > 0, steady, way_m > 0).all())

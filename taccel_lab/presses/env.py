@@ -26,7 +26,7 @@ from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force
-from taccel_lab.presses.ahead import SqueezedColumns
+from taccel_lab.presses.ahead import WayAhead, goes_on
 from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.path import SPEED_MM_S, PressPath
@@ -171,12 +171,14 @@ class PressEnv:
         self.setback_m = np.full(env_count, dhat)
         """Distance by which each indenter is held back [m]: the mean gap of its contact, dhat
         without one; shape [env_count]."""
-        self._ahead: SqueezedColumns | None = None
+        self._last_m = np.zeros(env_count)
+        """What the last step added to the depth [m]."""
+        self._ahead: WayAhead | None = None
         """Where steps straight down look ahead; None where nothing is known."""
         if isinstance(indenter.shape, Ball) and gel_from_press is None and len(rest) == 1:
             radius_m = indenter.shape.radius_m
             ways = self.model, contact, self.touch_m, radius_m, dhat
-            self._ahead = SqueezedColumns(*ways)
+            self._ahead = WayAhead(*ways)
         self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)
@@ -192,7 +194,7 @@ class PressEnv:
         """Back to rest, the indenter above the gel."""
         dhat = self.solver.config.dhat_m
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
-        self._shear_m = 0 * self._shear_m
+        self._shear_m, self._last_m = 0 * self._shear_m, 0 * self._last_m
         self.state = initial_state(self.model, self._start)
 
     def _mean_gap_m(self) -> np.ndarray:
@@ -316,7 +318,9 @@ class PressEnv:
         """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
         fails. ``resting`` (bool, [env_count]) are left alone."""
         stay = resting.copy()
+        ways_m = depth_m - self.depth_m, self._last_m, self.depth_m
         straight = not (shear_m.any() or self._shear_m.any() or np.any(twist_rad))
+        straight = straight and goes_on(*(values[~resting] for values in ways_m))
         report: StepReport | None = None
         for left in reversed(range(SETBACK_ROUNDS)):
             target = self._poses(depth_m, shear_m, twist_rad)
@@ -338,6 +342,8 @@ class PressEnv:
         lost = ~report.converged & ~stay
         if lost.any():
             put_back(lost)
+        came = report.converged & ~stay
+        self._last_m = np.where(came, depth_m - self.depth_m, self._last_m)
         self.depth_m = np.where(report.converged, depth_m, self.depth_m)
         return report
 

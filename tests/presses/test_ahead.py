@@ -17,6 +17,7 @@ CASES = {
     "flat, rubbing": ("gelsight_mini", {"friction": 0.3}, 0.85),
     "dome": ("digit", {"friction": 0.0}, 0.7),
 }
+STEPS_MM = (0.25, 0.5, 0.85, 1.2, 0.9, 0.6)
 
 
 def env_of(sensor: str, **options: object) -> tuple[PressEnv, PressRun]:
@@ -37,11 +38,14 @@ def env_of(sensor: str, **options: object) -> tuple[PressEnv, PressRun]:
     return env, run
 
 
-def pressed(env: PressEnv) -> tuple[float, int, np.ndarray]:
-    reports = [env.move_to(depth_mm) for depth_mm in (0.25, 0.5)]
+def pressed(
+    env: PressEnv, steps_mm: tuple[float, ...] = (0.25, 0.5)
+) -> tuple[float, int, int, np.ndarray]:
+    reports = [env.move_to(depth_mm) for depth_mm in steps_mm]
     return (
         float(env.wrench[0, 2]),
         sum(int(report.newton_iterations[0]) for report in reports),
+        sum(int(report.cg_iterations[0]) for report in reports),
         env.positions[0].copy(),
     )
 
@@ -50,13 +54,23 @@ def pressed(env: PressEnv) -> tuple[float, int, np.ndarray]:
 def test_a_look_ahead_saves_iterations_and_changes_no_result(case: str) -> None:
     sensor, options, most = CASES[case]
     env, _ = env_of(sensor, **options)
-    force, iterations, positions = pressed(env)
+    force, iterations, _, positions = pressed(env)
     without, _ = env_of(sensor, **options)
     without._ahead = None
-    usual, more, there = pressed(without)
+    usual, more, _, there = pressed(without)
     assert iterations <= most * more, (iterations, more)
     assert force == pytest.approx(usual, rel=1e-4)
     assert np.abs(positions - there).max() < 2e-7
+
+
+def test_a_deep_press_and_its_way_back_take_no_more_iterations() -> None:
+    env, _ = env_of("gelsight_mini", friction=0.0)
+    force, iterations, solves, _ = pressed(env, STEPS_MM)
+    without, _ = env_of("gelsight_mini", friction=0.0)
+    without._ahead = None
+    usual, more, solved, _ = pressed(without, STEPS_MM)
+    assert force == pytest.approx(usual, rel=2e-4)
+    assert iterations < 0.8 * more and solves < solved
 
 
 def test_where_ahead_is_no_place_to_be_the_search_starts_as_ever() -> None:
