@@ -42,7 +42,7 @@ def _taken(x: wp.vec3d, top: wp.float64, centre: wp.vec3d, radius: wp.float64) -
 
 
 @wp.kernel
-def _ahead_kernel(
+def _way_ahead_kernel(
     rest: wp.array2d(dtype=wp.vec3d),
     tops: wp.array(dtype=wp.float64),
     shares: wp.array(dtype=wp.float64),
@@ -126,7 +126,7 @@ class WayAhead:
         targets = wp.array(target_poses, dtype=wp.transformd, device=m.device)
         inputs = [m.rest_positions, self._tops, self._shares, state.positions, state.velocities]
         inputs += [state.poses, targets, self._touches, self._radius, self._dhat, places]
-        launch(_ahead_kernel, (m.env_count, m.soft_count), *inputs)
+        launch(_way_ahead_kernel, (m.env_count, m.soft_count), *inputs)
 
 
 def goes_on(way_m: np.ndarray, last_m: np.ndarray, depth_m: np.ndarray) -> bool:
