@@ -21,6 +21,11 @@ class ContactSweep:
     """Share of that motion that is slip; for the rest the gel sticks to the tool."""
 
     @property
+    def drags(self) -> bool:
+        """Whether the gel sticks to the tool for a part of a way."""
+        return self.slip < 1 and (any(self.shear_mm) or self.twist_deg != 0)
+
+    @property
     def way_mm(self) -> np.ndarray:
         """Way of the origin over the gel, [2]."""
         return self.slip * np.asarray(self.shear_mm, dtype=np.float64)

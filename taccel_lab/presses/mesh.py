@@ -121,8 +121,8 @@ def refined_press_mesh(
         options = options.for_edge(radius, edge_mm).for_sweep(radius, sweep.length_mm)
         # A coarser mesh with fewer spokes than that would say nothing of this one.
         options = options.refined(refinement).for_edge(radius, edge_mm)
-    elif refinement != 1.0:
-        options = options.refined(refinement)
+    else:
+        options = (options.for_drag() if sweep.drags else options).refined(refinement)
     return pad_press_mesh(pad, at_mm, contact, options, sweep)
 
 

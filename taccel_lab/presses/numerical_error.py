@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.presses.aside_error import AsideError, aside_error
 from taccel_lab.presses.outcome import PressOutcome
 from taccel_lab.presses.physics import (
     GAP_SHARE,
@@ -126,6 +127,8 @@ class NumericalError:
     level: int
     """Level of the press; 0 is that of the options."""
     presses: int
+    aside: AsideError
+    """The same of the sideways force and the moments."""
     asked: float | None = None
     """Relative error that was asked for [1]; None of a grade."""
     shortfall: str | None = None
@@ -133,7 +136,7 @@ class NumericalError:
 
     def figures(self) -> dict[str, Any]:
         """Figures as JSON."""
-        return asdict(self)
+        return asdict(self) | {"aside": self.aside._asdict()}
 
     def words(self) -> str:
         """What the error rests on, in a sentence."""
@@ -154,17 +157,20 @@ class NumericalError:
     def stated_for(self, outcome: PressOutcome) -> PressOutcome:
         """A press of this resolution with what mesh, contact range and steps add taken off all its
         loads, and with the errors that it states. What states it kept are as solved."""
-        factor = self.factor
-        steps = [replace(step, wrench=factor * step.wrench) for step in outcome.steps]
+        factor, aside = self.factor, self.aside.factor
+        loads = np.array([aside, aside, factor, factor, factor, aside])
+        steps = [replace(step, wrench=loads * step.wrench) for step in outcome.steps]
         return replace(
             outcome,
             steps=steps,
-            contact_forces_n=factor * outcome.contact_forces_n,
+            contact_forces_n=loads[:3] * outcome.contact_forces_n,
             contact_pressures_pa=factor * outcome.contact_pressures_pa,
             von_mises_pa=factor * outcome.von_mises_pa,
             # After a way back hardly anything is left of what the error was found of.
             force_error_n=self.share * abs(factor * outcome.largest_n),
             height_error_m=self.height_error_m,
+            shear_error_n=self.aside.shear_n,
+            moment_error_nm=self.aside.moment_nm,
         )
 
 
@@ -246,7 +252,9 @@ def _by_rule(
     depth_m, guard = 1e-3 * outcome.path.depth_mm, _guard_share(outcome)
     rule = expected_error(physics, shape, np.ones(1), np.full(1, depth_m))
     share = float(rule.force_n[0]) + guard
-    return NumericalError(1.0, share, float(rule.height_m[0]), guard, (0.0,), 0.0, 0, 1, asked)
+    aside = AsideError.by_rule(outcome, share)
+    heights = float(rule.height_m[0])
+    return NumericalError(1.0, share, heights, guard, (0.0,), 0.0, 0, 1, aside, asked)
 
 
 def _guard_share(outcome: PressOutcome) -> float:
@@ -302,8 +310,12 @@ def _measured(
     moved = (best.height_m - best.rest_height_m) - (below.height_m - below.rest_height_m)
     height_m = known_rms(moved[best.normals[..., 2] > UPRIGHT])
     height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
+    # Of the press below the steps are known; level by level they are half as long.
+    beside = replace(below, steps_wrench=pressed[0].steps_wrench)
+    finer = FINER**level * LEFT[Accuracy.DEFAULT].of(shape) / LEFT[physics.accuracy].of(shape)
+    aside = aside_error(best, beside, friction, is_ball, factor, share, level, finer)
     error = NumericalError(
-        factor, share, height_m, guard, changes, steps, level, presses=len(pressed), asked=asked
+        factor, share, height_m, guard, changes, steps, level, len(pressed), aside, asked
     )
     return error, change if says_something else 0.0
 

@@ -22,7 +22,7 @@ from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses.env import PressEnv
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.path import HOLD_STEPS, PressPath
+from taccel_lab.presses.path import HOLD_STEPS, PressPath, Waypoint
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.states import PressStates, PressSurface
 from taccel_lab.scene import Material, MaterialField
@@ -111,9 +111,15 @@ class PressOutcome(Summary):
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
+    shear_error_n: float = math.nan
+    """Numerical error of the last sideways force [N]; NaN where none is known."""
+    moment_error_nm: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    """Numerical errors of the last moments [N m]; NaN likewise."""
     steps_share: float | None = None
     """Share of the normal force that the length of the steps adds, by a press in half as many; None
     where that was not asked."""
+    steps_wrench: np.ndarray | None = None
+    """What they add to the last wrench [N], [N m], [6]; None likewise."""
     states: PressStates | None = None
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
@@ -301,24 +307,35 @@ def simulate_press(
         stopped(read(PressStop(*waypoints[min(len(steps), len(waypoints) - 1)], why)))
         raise
     outcome = read()
-    if with_fewer_steps:
-        outcome = replace(outcome, steps_share=_steps_share(env, path, outcome.largest_n))
-    return outcome
+    return _with_steps(env, path, outcome) if with_fewer_steps else outcome
 
 
-def _steps_share(env: PressEnv, path: PressPath, force_n: float) -> float:
-    """Share of the normal force that the steps of a path add: of first order, so that n of them
-    add 1 / (n / m - 1) of what m fewer ones change (Richardson)."""
-    count = len(path.way_there())
-    fewer = path.with_steps(max(1, count // 2) / count)
-    ratio = count / len(fewer.way_there())
-    if ratio == 1 or not force_n:
-        return 0.0
+def _with_steps(env: PressEnv, path: PressPath, outcome: PressOutcome) -> PressOutcome:
+    """The outcome with what the steps of its path add: of first order, so that n of them add
+    1 / (n / m - 1) of what m fewer ones change (Richardson). Steps down and aside are not halved
+    alike; most hangs on those that became the fewest."""
+    there = path.way_there()
+    fewer = path.with_steps(max(1, len(there) // 2) / len(there))
+    counts = [_down_and_aside(each.way_there()) for each in (path, fewer)]
+    ratio = max(n / max(m, 1) for n, m in zip(*counts, strict=True))
+    normal = outcome.largest_n
+    if ratio == 1 or not normal:
+        return replace(outcome, steps_share=0.0, steps_wrench=np.zeros(6))
     env.reset()
-    forces = [0.0]
-    env.follow(fewer, lambda *_: forces.append(float(env.wrench[0, 2])))
-    found = max(forces) if path.back else forces[-1]
-    return (found / force_n - 1) / (ratio - 1)
+    found = [np.zeros(6)]
+    env.follow(fewer, lambda *_: found.append(env.wrench[0].copy()))
+    forces = [float(wrench[2]) for wrench in found]
+    largest = max(forces) if path.back else forces[-1]
+    return replace(
+        outcome,
+        steps_share=(largest / normal - 1) / (ratio - 1),
+        steps_wrench=(found[-1] - outcome.wrench) / (ratio - 1),
+    )
+
+
+def _down_and_aside(way: list[Waypoint]) -> tuple[int, int]:
+    down = sum((shear, twist) == ((0.0, 0.0), 0.0) for _, shear, twist in way)
+    return down, len(way) - down
 
 
 def _read(

@@ -15,7 +15,7 @@ from taccel_lab.report.figures import depth_panel, twofold_difference
 from taccel_lab.report.lead import Link, Picture, Score, Strip
 from taccel_lab.report.page import PAGE, Page, Table, write_page_file
 from taccel_lab.report.remark import Remark, Severity
-from taccel_lab.with_error import to_error, with_error
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from taccel_lab.presses import PressPath
@@ -170,8 +170,10 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     yield from _path_rows(outcome.path, figures)
     yield "normal force, numerical error", with_error(force[2], error_n), "N"
     yield "its 95 % interval, all causes", " to ".join(f"{end:.3g}" for end in ends), "N"
-    yield "force of the gel on the indenter", _digits(force, error_n), "N"
-    yield "moment about the gel's origin", _digits(moment, error_n), "N mm"
+    errors = (outcome.shear_error_n, outcome.shear_error_n, error_n)
+    yield "force of the gel on the indenter", _each(force, errors), "N"
+    errors = (1e3 * error for error in outcome.moment_error_nm)
+    yield "moment about the gel's origin", _each(moment, errors), "N mm"
     yield "error of heights: numerical, total", _both(heights, 1e3), "um rms"
     yield "contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"
     yield "force residual", f"{figures['residual_n']:.1e}", "N"
@@ -205,8 +207,9 @@ def _path_rows(path: PressPath, figures: dict[str, Any]) -> Iterator[tuple[str, 
     yield "depth past first touch", f"{figures['steps'][-1]['depth_mm']:.4g}", "mm"
 
 
-def _digits(values: Iterable[float], error: float) -> str:
-    return "  ".join(to_error(float(value), error) for value in values)
+def _each(values: Iterable[float], errors: Iterable[float]) -> str:
+    both = zip(values, errors, strict=True)
+    return ", ".join(with_error(float(value), error) for value, error in both)
 
 
 def _both(error: SignalError, unit: float = 1.0) -> str:

@@ -87,6 +87,16 @@ class Press(Summary):
         stored mesh. What the gel leaves open is in ``force_interval_n``."""
         return self.outcome.force_error_n
 
+    @property
+    def shear_error_n(self) -> float:
+        """Numerical error of the sideways force [N]; NaN of a stored mesh."""
+        return self.outcome.shear_error_n
+
+    @property
+    def moment_error_nm(self) -> tuple[float, float, float]:
+        """Numerical errors of the moments about the gel's origin [N m]; NaN of a stored mesh."""
+        return self.outcome.moment_error_nm
+
     @cached_property
     def force_interval(self) -> ForceInterval:
         """95 % interval of the force by all that is known to be uncertain, and its causes."""
@@ -279,6 +289,8 @@ class Press(Summary):
                     "interval": self.force_interval_n,
                     "causes": {each.name: (each.low, each.high) for each in force.causes},
                 },
+                "shear_n": self.shear_error_n,
+                "moment_nm": self.moment_error_nm,
                 "height_mm": asdict(self.height_error),
                 "image_levels": None if image is None else asdict(image),
                 "measured": None if self.error is None else self.error.figures(),
@@ -361,6 +373,9 @@ class Press(Summary):
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
         ]
+        sideways = math.hypot(*self.wrench[:2])
+        if sideways > self.shear_error_n:
+            rows.insert(2, ("sideways", f"{with_error(sideways, self.shear_error_n)} N"))
         if self.like is not None:
             rows.append(("photo", f"{self.like['psnr_db']:.1f} dB ({self._untouched()})"))
         if self.failure is not None:
