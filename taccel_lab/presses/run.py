@@ -194,9 +194,10 @@ class PressRun(PressPlan):
         )
         if not beside:
             finished.append(outcome)
-        elif outcome.steps_share is not None:
+        elif outcome.steps_share is not None and outcome.steps_wrench is not None:
             less = len(outcome.path.way_there()) / count
-            outcome = replace(outcome, steps_share=less * outcome.steps_share)
+            share, wrench = less * outcome.steps_share, less * outcome.steps_wrench
+            outcome = replace(outcome, steps_share=share, steps_wrench=wrench)
         return outcome
 
 
