@@ -49,8 +49,8 @@ _LESS_EXCESS = 0.99
 _LESS_ENERGY = 1e-4
 """Fall of the energy that counts, as a part of it: on a plateau it falls by 1e-3 an iteration."""
 _LEAST_STRIDE = wp.constant(wp.float64(1e-5))
-"""Step, of a whole one, that is asked for after nine in a row that came on by less than a tenth each
-(``adapted_stride``). Gels that are held come on sooner or not at all; those in a pile do later."""
+"""Step, of a whole one, that is asked for after nine in a row that came on by less than a tenth
+each (``adapted_stride``). Gels that are held come on sooner or not at all; those in piles later."""
 _MORE_PROGRESS = 1e-3
 """Part of the prescribed motion that counts."""
 
