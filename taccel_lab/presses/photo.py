@@ -8,6 +8,7 @@ the difference, until that is small beside what the photo leaves open.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,6 +34,12 @@ LIKE = "like.png"
 _CORE = 0.5
 """Share of the deepest place above which the gel follows the indenter: its middle is the press's.
 The gel's slope around it would draw the middle towards the side with more gel."""
+_LEFT_OF_CORRECTION = 1 / 3
+"""Part of the last correction that is left, at most."""
+_AROUND = 0.2
+"""Part of the deepest place from which on pixels are compared."""
+_SHOWN = 0.5
+"""Part of a depth's smooth error that is seen around it, where both deepest places are as deep."""
 _CURVED_TO = 0.5
 """Part of a curved gel's lean that is uncertain. A tool touches a slope beside its axis, where it
 comes straight down; presses on a GelSight's dome are found up to half of that from the contacts
@@ -53,6 +60,8 @@ class SeenPress:
     """Standard deviation of the depth; None likewise."""
     whole: bool
     """Whether the image shows all of the core."""
+    alone_mm: float = 0.0
+    """Standard deviation of the depth by the reading alone; 0 where none is known."""
 
     @classmethod
     def of(cls, reading: Reading) -> SeenPress | None:
@@ -69,13 +78,15 @@ class SeenPress:
         depth_mm = 1e3 * reading.depth_m
         core, middle_px = _core(depth_mm, touched)
         middle = reading.grid.gel_from_pixel(middle_px)
-        at_sigma = depth_sigma = None
+        at_sigma, depth_sigma, alone_mm = None, None, 0.0
         if reading.height_sigma_m is not None and reading.reading_sigma_m is not None:
             depth_sigma = reading.depth_error_mm
+            alone_mm = 1e3 * float(reading.reading_sigma_m[reading.deepest_px])
             at_sigma = _place_sigma(reading, depth_mm, core)
         edge = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
         x, y = middle
-        return cls((float(x), float(y)), reading.depth_mm, at_sigma, depth_sigma, not edge.any())
+        at_mm, whole = (float(x), float(y)), not edge.any()
+        return cls(at_mm, reading.depth_mm, at_sigma, depth_sigma, whole, alone_mm)
 
 
 @dataclass(frozen=True)
@@ -170,13 +181,42 @@ class PressPhoto:
         """
         levels = self.simulated(image.astype(np.float32), self.reader.profile)
         lit = self.reader.lit(self.reader.in_own_light(levels))
-        found = SeenPress.of(self.reader.surface(lit))
+        reading = self.reader.surface(lit)
+        found = SeenPress.of(reading)
         if found is None:
             return None
         x, y = np.array(at_mm) + self.seen.at_mm - found.at_mm
         # By their ratio, as readings that are off are so by a share of the depth.
-        depth_mm *= self.seen.depth_mm / found.depth_mm
-        return replace(self, at_mm=(float(x), float(y)), depth_mm=depth_mm)
+        ratio = self.seen.depth_mm / found.depth_mm
+        here, there = (np.array(each.at_mm) for each in (self.seen, found))
+        moved_px = reading.grid.pixel_from_gel(here) - reading.grid.pixel_from_gel(there)
+        left_mm = self._left_mm(ratio * 1e3 * reading.depth_m, moved_px)
+        left_mm = math.hypot(left_mm, _LEFT_OF_CORRECTION * (ratio - 1.0) * depth_mm)
+        depth_mm *= ratio
+        return replace(
+            self,
+            at_mm=(float(x), float(y)),
+            depth_mm=depth_mm,
+            depth_error_mm=self._sigma_mm(left_mm, depth_mm),
+        )
+
+    def _left_mm(self, depth_mm: np.ndarray, moved_px: np.ndarray) -> float:
+        """How far a depth may be off where the photo still reads other than a simulated press,
+        whose depths are as deep, ``moved_px`` (columns, rows) beside it."""
+        from scipy import ndimage
+
+        shown = ndimage.shift(depth_mm, moved_px[::-1], order=1, mode="nearest")
+        around = np.maximum(shown, self.read_depth_mm) > _AROUND * self.seen.depth_mm
+        return float(np.sqrt(np.mean((shown - self.read_depth_mm)[around] ** 2))) / _SHOWN
+
+    def _sigma_mm(self, left_mm: float, depth_mm: float) -> float | None:
+        """Standard deviation of a corrected depth: what closing the loop left, both readings'
+        noise, and what all readings are off by alike; that of one reading at most."""
+        read_mm, share = self.seen.depth_error_mm, _common_share(self.reader)
+        if read_mm is None or share is None:
+            return read_mm
+        noise_mm = math.sqrt(2) * self.seen.alone_mm
+        return min(math.hypot(left_mm, noise_mm, share * depth_mm), read_mm)
 
     def simulated(self, painted: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """A painted press over the photo's own background, levels, [height_px, width_px, 3]."""
@@ -222,6 +262,18 @@ class PressPhoto:
         from taccel_lab.report.figures import draw_comparison
 
         return draw_comparison(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)
+
+
+def _common_share(reader: Reader) -> float | None:
+    """Standard deviation of what all readings of a profile are off by alike, over the depth; None
+    where the profile does not know it."""
+    if reader.sigma_of != "absolute depth":
+        return None
+    if reader.response is not None:
+        return reader.response.depth_share
+    assert reader.normal_model is not None
+    config = reader.normal_model.config
+    return math.hypot(config.depth_share, config.unit_share)
 
 
 def _core(depth_mm: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
