@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import taccel_lab as tl
@@ -37,6 +39,13 @@ def test_a_punch_that_slid_without_friction_stands_on_its_rows_of_nodes():
         SENSOR, "cylinder:2", depth_mm=0.1, friction=0.0, shear_mm=(0.5, 0.0), step_mm=0.25
     )
     assert moved.force_n == pytest.approx(PUNCH_N, rel=0.03)
+    first = moved.outcome.steps[0]
+    assert (first.depth_mm, first.shear_mm) == (0.1, (0.0, 0.0))
+    assert PUNCH_N < first.wrench[2] < 1.1 * PUNCH_N
+    said = "forces of steps before it may be a tenth too large"
+    assert said in moved.plan.notes()[-1]
+    options = replace(moved.plan.options, shear_mm=(0.0, 0.0))
+    assert not any(said in text for text in replace(moved.plan, options=options).notes())
 
 
 @pytest.mark.thorough
