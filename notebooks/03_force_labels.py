@@ -25,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
+from taccel_lab.presses import PressSetup
 from taccel_lab.presses.mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
@@ -43,7 +44,7 @@ def press(tool, deepest_mm, friction=0.0):
     """The gel under a tool at its middle, meshed for a depth."""
     mesh = profile_press_mesh(profile, (0, 0), tool.contact(deepest_mm))
     gel = profile_material(profile.material, mesh)
-    return PressEnv(mesh, gel, tool, np.zeros((1, 2)), friction_coefficient=friction)
+    return PressEnv(PressSetup(mesh, gel, tool, friction), np.zeros((1, 2)))
 
 
 # %% [markdown]

@@ -30,7 +30,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import Element, parse_indenter, profile_material
-from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions, PressPath, simulate_press
+from taccel_lab.presses import (
+    PHYSICS,
+    Accuracy,
+    PressMeshOptions,
+    PressPath,
+    PressSetup,
+    SeenFrom,
+    simulate_press,
+)
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.mesh import profile_press_mesh
 from taccel_lab.presses.numerical_error import measured_press
@@ -51,16 +59,11 @@ def press(physics):
     def at(resolution):
         contact, finer = ball.contact(DEPTH_MM), resolution.mesh
         mesh = profile_press_mesh(profile, (0, 0), contact, physics.mesh, finer)
-        return simulate_press(
-            mesh,
-            profile_material(profile.material, mesh),
-            ball,
-            (0, 0),
-            PressPath(DEPTH_MM).with_steps(resolution.steps),
-            profile.grid().thinned(8),
-            friction_coefficient=0.0,
-            physics=replace(physics, dhat_m=resolution.dhat * physics.dhat_m),
-        )
+        near = replace(physics, dhat_m=resolution.dhat * physics.dhat_m)
+        gel = profile_material(profile.material, mesh)
+        setup = PressSetup(mesh, gel, ball, physics=near)
+        path = PressPath(DEPTH_MM).with_steps(resolution.steps)
+        return simulate_press(setup, (0, 0), path, SeenFrom(profile.grid().thinned(8)))
 
     started = time.process_time()
     found = measured_press(at, physics, ball.shape, friction=0.0, remembers=False)

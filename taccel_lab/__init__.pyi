@@ -28,6 +28,7 @@ from taccel_lab.presses import Accuracy as Accuracy
 from taccel_lab.presses import PressEnv as PressEnv
 from taccel_lab.presses import PressOutcome as PressOutcome
 from taccel_lab.presses import PressPath as PressPath
+from taccel_lab.presses import PressSetup as PressSetup
 from taccel_lab.presses import parse_indenter as parse_indenter
 from taccel_lab.presses import profile_material as profile_material
 from taccel_lab.presses import profile_scene as profile_scene

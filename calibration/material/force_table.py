@@ -24,7 +24,7 @@ from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import cached_arrays
 from taccel_lab.geometry import TetMesh
-from taccel_lab.presses import PressEnv, PressPath, profile_material
+from taccel_lab.presses import PressEnv, PressPath, PressSetup, profile_material
 from taccel_lab.presses.physics import expected_error
 from taccel_lab.progress import Progress, silent
 from taccel_lab.with_error import NORMAL_95
@@ -273,12 +273,14 @@ class GelBench:
     def _env(self, gel: Gel, friction: float) -> PressEnv:
         """A gel of 1 MPa at rest."""
         return PressEnv(
-            self.mesh,
-            profile_material(gel.unit_material(), self.mesh),
-            self.tool.indenter(),
+            PressSetup(
+                self.mesh,
+                profile_material(gel.unit_material(), self.mesh),
+                self.tool.indenter(),
+                friction_coefficient=friction,
+                physics=self.gel.physics,
+                device=self.gel.device,
+            ),
             np.array([self.tool.at_mm]),
-            friction_coefficient=friction,
-            physics=self.gel.physics,
             config=self.gel.physics.solver(**(RUBBING_LIMITS if friction else {})),
-            device=self.gel.device,
         )

@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from typing import Any, ClassVar
 
@@ -37,13 +37,15 @@ from taccel_lab.presses import (
     PressOutcome,
     PressPath,
     PressPhysics,
+    PressSetup,
     layered_material,
     parse_indenter,
     simulate_press,
 )
-from taccel_lab.presses.mesh import refined_press_mesh
-from taccel_lab.presses.numerical_error import BESIDE, FINER, Resolution, measured_press
+from taccel_lab.presses.numerical_error import measured_press
+from taccel_lab.presses.outcome import SeenFrom
 from taccel_lab.presses.physics import parse_accuracy
+from taccel_lab.presses.resolution import BESIDE, FINER, Resolution
 from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_families, sensor_family
@@ -204,25 +206,29 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
     """Press; SimulationError without convergence."""
     indenter, parameters = case.indenter(), case.parameters()
     physics = physics.of_press(case.depth_mm, case.friction, case.poisson_ratio)
-    contact = indenter.contact(case.depth_mm)
-    mesh = refined_press_mesh(parameters.pad(), AT_MM, contact, physics.mesh, at.mesh)
     branches = tuple(MaxwellBranch(*branch) for branch in case.branches)
     layers = [
         Material(layer.young_modulus_pa, case.poisson_ratio, branches=branches)
         for layer in parameters.layer_materials()
     ]
     path = PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s)
-    path = path.bounded(branches, case.friction)
-    return simulate_press(
-        mesh,
-        layered_material(layers, mesh),
+    setup = PressSetup.on_pad(
+        parameters.pad(),
+        partial(layered_material, layers),
         indenter,
         AT_MM,
-        path.with_steps(at.steps),
-        coarse_grid(parameters.grid()),
+        path,
+        poisson_ratio=case.poisson_ratio,
         friction_coefficient=case.friction,
-        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
+        physics=physics,
+        resolution=at,
         device=device,
+    )
+    return simulate_press(
+        setup,
+        AT_MM,
+        path.bounded(branches, case.friction).with_steps(at.steps),
+        SeenFrom(coarse_grid(parameters.grid())),
         with_fewer_steps=at == BESIDE and case.remembers,
     )
 

@@ -20,7 +20,7 @@ from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.presses import Indenter, PressEnv, PressPhysics
+from taccel_lab.presses import Indenter, PressEnv, PressPhysics, PressSetup
 from taccel_lab.solvers import EnvStatus
 
 StepProgress = Callable[[int, int], None]
@@ -74,15 +74,17 @@ def _alone(touch: Touch, bench: TouchBench) -> TouchRecord:
 def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
     first, count = touches[0], len(touches)
     env = PressEnv(
-        first.mesh,
-        bench.sensor.material_of(first.mesh),
-        bench.indenter,
+        PressSetup(
+            first.mesh,
+            bench.sensor.material_of(first.mesh),
+            bench.indenter,
+            friction_coefficient=max(touch.friction for touch in touches),
+            physics=bench.physics,
+            device=bench.device,
+        ),
         np.zeros((count, 2)),
-        friction_coefficient=max(touch.friction for touch in touches),
         rest_positions_m=np.stack([touch.mesh.nodes_m for touch in touches]),
         gel_from_press=np.stack([touch.frame for touch in touches]),
-        physics=bench.physics,
-        device=bench.device,
     )
     _set_parameters(env, touches, bench)
     meshes = [env.nodal(touch.mesh) for touch in touches]

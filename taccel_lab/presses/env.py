@@ -28,9 +28,9 @@ from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force
 from taccel_lab.presses.ahead import WayAhead, goes_on
 from taccel_lab.presses.frame import PressFrames
-from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.path import SPEED_MM_S, PressPath
-from taccel_lab.presses.physics import PHYSICS, Accuracy, PressError, PressPhysics, expected_error
+from taccel_lab.presses.physics import PressError, expected_error
+from taccel_lab.presses.setup import PressSetup
 from taccel_lab.presses.touch import (
     MAX_DEPTH_FRACTION,
     first_touch_m,
@@ -40,8 +40,6 @@ from taccel_lab.presses.touch import (
 from taccel_lab.scene import (
     Ball,
     KinematicBody,
-    Material,
-    MaterialField,
     Scene,
     SoftBody,
     TriangleMesh,
@@ -87,33 +85,22 @@ class PressEnv:
 
     def __init__(
         self,
-        mesh: TetMesh,
-        material: Material | MaterialField,
-        indenter: Indenter,
+        setup: PressSetup,
         at_mm: np.ndarray,
         *,
-        friction_coefficient: float = 0.0,
         rest_positions_m: np.ndarray | None = None,
         gel_from_press: np.ndarray | None = None,
-        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
         config: SolverConfig | None = None,
-        device: str = "cpu",
     ) -> None:
         """
         Args:
-            mesh: Gel pad in the gel frame.
-            material: Of the gel, uniform or by tet.
-            indenter: Rigid body that is pressed.
+            setup: Gel, tool and physics. With quadratic elements ``positions`` and forces are those
+                of the nodes of ``mesh`` here, which has more than that of the setup.
             at_mm: xy of the indenter's axis in the press frame [mm], shape [env_count, 2].
-            friction_coefficient: Between indenter and gel.
             rest_positions_m: Rest shape of each environment [m], [env_count, node_count, 3].
             gel_from_press: Frames in which the indenters come down along -z, shear and twist
                 [env_count, 7], see ``frame``; the gel frame when None.
-            physics: Element, contact range and tolerance; ``mesh`` is the caller's choice. With
-                quadratic elements ``positions`` and forces are those of the nodes of ``mesh`` here,
-                which has more than the one passed in.
-            config: The solver's settings; those of ``physics`` when None.
-            device: Warp device.
+            config: The solver's settings; those of the setup's physics when None.
 
         Raises:
             InputError: An indenter that would not come down on the pad, or bad material.
@@ -121,17 +108,19 @@ class PressEnv:
         self.at_m = np.asarray(at_mm, dtype=np.float64).reshape(-1, 2) * 1e-3
         if not np.isfinite(self.at_m).all():
             raise InputError("the place of a press must be finite numbers in mm")
-        env_count = len(self.at_m)
+        env_count, indenter, physics = len(self.at_m), setup.indenter, setup.physics
         self._frames = PressFrames(gel_from_press, env_count)
-        require_resolved(indenter, mesh, rest_positions_m, self._frames, self.at_m)
-        body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
-        soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=physics.element)
+        require_resolved(indenter, setup.mesh, rest_positions_m, self._frames, self.at_m)
+        body = KinematicBody(indenter.shape, setup.friction_coefficient, name=indenter.name)
+        soft = SoftBody(
+            setup.mesh, setup.material, rest_positions_m=rest_positions_m, element=physics.element
+        )
         self.physics = physics
         self._shape = indenter.shape
         self._shear_m = np.zeros((env_count, 2))
         self.mesh = soft.nodal_mesh
         """The gel with all its nodes: what ``positions`` belong to."""
-        self.model = Scene(soft, (body,), env_count).finalize(device)
+        self.model = Scene(soft, (body,), env_count).finalize(setup.device)
         self.relaxes = self.model.viscous_point_count > 0
         """Whether forces depend on how long a step takes."""
         # Overlaps at the start are looked for below, with the place in the message.

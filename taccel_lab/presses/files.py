@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,6 @@ from taccel_lab.signals.dots import image_painter
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
-    from taccel_lab.presses.indenter import Indenter
     from taccel_lab.profile import SensorProfile
 
 VIEWS = "views"
@@ -44,15 +44,26 @@ STATES_PX = 320
 """Longest side of the pictures that the optical model predicts of all steps."""
 
 
+@dataclass(frozen=True)
+class PressImages:
+    """Tactile images of a press as a camera shows it."""
+
+    rgb: np.ndarray | None
+    """At its end, levels; None where the profile has no colours."""
+    frames: Sequence[np.ndarray] | None
+    """At rest and after each step that was kept, levels; None where the optical model predicts
+    them."""
+    predicted: Callable[[], np.ndarray | None]
+    """Returns, without colours, the picture that the optical model predicts, uint8, [height_px,
+    width_px, 3], if the sensor has one and it is wanted."""
+
+
 def write_press(
     folder: Path,
     outcome: PressOutcome,
     profile: SensorProfile,
-    rgb: np.ndarray | None,
-    predicted: Callable[[], np.ndarray | None],
+    images: PressImages,
     about: Mapping[str, Any],
-    indenter: Indenter,
-    frames: Sequence[np.ndarray] | None,
     call: Call,
 ) -> None:
     """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
@@ -61,20 +72,15 @@ def write_press(
         folder: To write to; it exists.
         outcome: The press.
         profile: Of the sensor that was pressed.
-        rgb: Tactile image, levels; None where the profile has no colours.
-        predicted: Returns what is written then: the picture that the optical model predicts, uint8,
-            [height_px, width_px, 3], if the sensor has one.
+        images: Those that are written; those of steps go into ``states.npz``, where the press kept
+            its states.
         about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
             curve of the force.
-        indenter: Whose surface goes into ``states.npz``, which is written where the press kept its
-            states.
-        frames: Tactile images at rest and after each of those, levels; when None those that the
-            optical model predicts.
         call: Draws and compresses, see ``Beside``.
     """
     # First, so that another process draws while this one follows the light.
     _draw_loads(folder, outcome, about["indenter"], call)
-    markers = write_seen(folder, outcome, profile, rgb, predicted, call)
+    markers = write_seen(folder, outcome, profile, images, call)
     write_mesh_vtu(
         folder / "gel.vtu",
         outcome.mesh,
@@ -87,7 +93,7 @@ def write_press(
         },
     )
     if outcome.states is not None:
-        _write_states(folder / STATES, outcome, outcome.states, profile, indenter, frames)
+        _write_states(folder / STATES, outcome, outcome.states, profile, images.frames)
     write_json(
         folder / "press.json",
         {
@@ -114,13 +120,12 @@ def write_seen(
     folder: Path,
     outcome: PressOutcome,
     profile: SensorProfile,
-    rgb: np.ndarray | None,
-    predicted: Callable[[], np.ndarray | None],
+    images: PressImages,
     call: Call,
 ) -> PressMarkers | None:
     """Write what a camera shows of a press: ``signals.npz``, its pictures and its dots, which are
     returned; arguments as of ``write_press``."""
-    grid = profile.grid()
+    grid, rgb = profile.grid(), images.rgb
     call(save_drawing, folder / "height_map.png", draw_height_map, outcome.height_m, grid)
     call(save_drawing, folder / "normals.png", draw_normals, outcome.normals, grid)
     arrays: dict[str, Any] = {
@@ -144,7 +149,7 @@ def write_seen(
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
         call(write_image, folder / "image_raw.png", rgb)
     else:
-        seen = predicted()
+        seen = images.predicted()
         if seen is not None:
             call(write_image, folder / "predicted.png", seen)
     if markers is not None:
@@ -180,7 +185,6 @@ def _write_states(
     outcome: PressOutcome,
     states: PressStates,
     profile: SensorProfile,
-    indenter: Indenter,
     frames: Sequence[np.ndarray] | None,
 ) -> None:
     if frames is not None:
@@ -193,7 +197,7 @@ def _write_states(
         path,
         states,
         outcome.mesh,
-        indenter,
+        outcome.setup.indenter,
         profile,
         [step.depth_mm for step in outcome.steps],
         np.array([step.wrench[:3] for step in outcome.steps]),

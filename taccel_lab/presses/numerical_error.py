@@ -34,13 +34,12 @@ from taccel_lab.presses.physics import (
     Shares,
     expected_error,
 )
+from taccel_lab.presses.resolution import AS_IT_IS, BESIDE, FINER, Resolution
 from taccel_lab.scene import Ball, Element, TriangleMesh
 
 if TYPE_CHECKING:
     from taccel_lab.profile import Provenance
 
-FINER = 2**0.5
-"""Elements along a side over those of the level below."""
 MOST_LEVELS = 4
 """Levels above that of the options."""
 TAKEN_OFF = STATED = 0.5
@@ -82,30 +81,6 @@ heights are differences of where a facet happens to end."""
 _AROUND = 0.05
 """Part of the depth from which on a pixel counts as pressed."""
 _WHITE = 255.0
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """How much finer a press is than the options say."""
-
-    mesh: float
-    """Elements along a side over those of the options."""
-    dhat: float
-    """Contact range over that of the options."""
-    steps: float
-    """Steps over those of the options."""
-
-    @classmethod
-    def of(cls, level: int, remembers: bool = True) -> Resolution:
-        """Resolution of a level; 0 is that of the options. Where the path does not matter
-        (``remembers`` is False) finer levels keep its steps."""
-        steps = 2.0**level if remembers or level < 0 else 1.0
-        return cls(FINER**level, 2.0**-level, steps)
-
-
-AS_IT_IS = Resolution.of(0)
-BESIDE = Resolution(1 / FINER, 1.0, 1.0)
-"""Resolution of the press beside that."""
 
 
 @dataclass(frozen=True)

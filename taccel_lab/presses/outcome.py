@@ -23,9 +23,9 @@ from taccel_lab.outputs import Outputs
 from taccel_lab.presses.env import PressEnv
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.path import HOLD_STEPS, PressPath, Waypoint
-from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.presses.physics import PressPhysics
+from taccel_lab.presses.setup import PressSetup
 from taccel_lab.presses.states import PressStates, PressSurface
-from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import RestSurface
@@ -36,12 +36,14 @@ from taccel_lab.with_error import with_error
 
 
 @dataclass(frozen=True)
-class FurtherView:
-    """Another camera that looks at a press."""
+class SeenFrom:
+    """A camera that looks at a press."""
 
     camera: View
+    """Camera, or its pixels laid over the gel."""
     designed_rest: RestSurface | None = None
-    """See ``simulate_press``, on this camera's pixels over the gel."""
+    """The pad's contact face on ``face_of(camera)``, where a mesh draws it more coarsely, see
+    ``RestSurface.left_out_by``."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,8 @@ class PressOutcome(Summary):
 
     mesh: TetMesh | QuadraticMesh
     """The gel with all its nodes: middles of edges too where its elements are quadratic."""
+    setup: PressSetup
     path: PressPath
-    physics: PressPhysics
     steps: list[PressStep]
     force_error_n: float
     """Numerical error of the last force [N], see ``measured_press``; NaN where none is known."""
@@ -135,6 +137,11 @@ class PressOutcome(Summary):
             ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
             ("last step", final.report.summary()),
         ]
+
+    @property
+    def physics(self) -> PressPhysics:
+        """Element, contact range and tolerance."""
+        return self.setup.physics
 
     @property
     def wrench(self) -> np.ndarray:
@@ -226,45 +233,37 @@ class PressOutcome(Summary):
 
 
 def simulate_press(
-    mesh: TetMesh,
-    material: Material | MaterialField,
-    indenter: Indenter,
+    setup: PressSetup,
     at_mm: tuple[float, float],
     path: PressPath,
-    grid: View,
+    seen: SeenFrom,
     *,
-    friction_coefficient: float,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    designed_rest: RestSurface | None = None,
-    device: str = "cpu",
+    views: Mapping[str, SeenFrom] | None = None,
     progress: Callable[[int, int, PressStep], None] | None = None,
-    keep_states: bool = False,
     stopped: Callable[[PressOutcome], None] | None = None,
-    views: Mapping[str, FurtherView] | None = None,
+    keep_states: bool = False,
     with_fewer_steps: bool = False,
 ) -> PressOutcome:
-    """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
-    indenter with a texture must go deeper than that is on the mean.
+    """Press once, read everything. An indenter with a texture must go deeper than that is on the
+    mean.
 
-    Where a step fails, or an interrupt comes, ``stopped`` is given the steps before, if there are
-    any, and what can be read at their end; the error goes on.
+    Args:
+        setup: Gel, tool and physics.
+        at_mm: Gel xy of the tool's axis.
+        path: Its way.
+        seen: Camera whose pixels are read at the end.
+        views: Further ones, by name.
+        progress: Receives step, step count and outcome.
+        stopped: Receives, where a step fails or an interrupt comes, the steps before, if there are
+            any, and what can be read at their end; the error goes on.
+        keep_states: Whether gel, loads and pixels of every step are kept, at 0.1 to 0.3 s each.
+        with_fewer_steps: Whether to press once more, in half as many steps.
 
-    ``grid``: the pixels, laid over the gel, or the camera that they are of. ``designed_rest`` is
-    the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
-    see ``RestSurface.left_out_by``. ``progress`` gets step, step count and outcome.
-    ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each. ``views`` are
-    further cameras, by name, whose pixels are read at the end. ``with_fewer_steps`` presses once
-    more, in half as many steps.
+    Raises:
+        InputError, SimulationError: As of ``PressEnv``.
     """
-    env = PressEnv(
-        mesh,
-        material,
-        indenter,
-        np.array([at_mm]),
-        friction_coefficient=friction_coefficient,
-        physics=physics,
-        device=device,
-    )
+    indenter = setup.indenter
+    env = PressEnv(setup, np.array([at_mm]))
     texture = indenter.texture
     if texture is not None and not path.depth_mm * 1e-3 > texture.mean_depth_m:
         raise InputError(
@@ -278,7 +277,7 @@ def simulate_press(
     outputs = Outputs(env.solver)
 
     def pixels() -> PressSurface:
-        return press_surface(env, indenter, grid, designed_rest)
+        return press_surface(env, indenter, seen)
 
     def keep(done: int, total: int, report: StepReport) -> None:
         time_s = None if times is None else float(times[done - 1])
@@ -289,11 +288,8 @@ def simulate_press(
             progress(done, total, steps[-1])
 
     def read(stop: PressStop | None = None) -> PressOutcome:
-        seen = {
-            name: press_surface(env, indenter, one.camera, one.designed_rest)
-            for name, one in (views or {}).items()
-        }
-        return _read(env, path, steps, outputs, pixels(), seen, states, stop)
+        further = {name: press_surface(env, indenter, one) for name, one in (views or {}).items()}
+        return _read(env, setup, path, steps, outputs, pixels(), further, states, stop)
 
     try:
         env.follow(path, keep)
@@ -340,6 +336,7 @@ def _down_and_aside(way: list[Waypoint]) -> tuple[int, int]:
 
 def _read(
     env: PressEnv,
+    setup: PressSetup,
     path: PressPath,
     steps: list[PressStep],
     outputs: Outputs,
@@ -353,8 +350,8 @@ def _read(
     error = env.error_estimate()
     return PressOutcome(
         mesh=env.mesh,
+        setup=setup,
         path=path,
-        physics=env.physics,
         steps=steps,
         force_error_n=float(error.force_n[0]),
         height_error_m=float(error.height_m[0]),
@@ -373,26 +370,18 @@ def _read(
     )
 
 
-def press_surface(
-    env: PressEnv,
-    indenter: Indenter,
-    grid: View,
-    designed_rest: RestSurface | None = None,
-) -> PressSurface:
-    """What pixels, of ``grid`` or a camera, show of the first environment of a press that has
-    converged; at rest, of the points that they show now.
-
-    ``designed_rest``: see ``simulate_press``.
-    """
+def press_surface(env: PressEnv, indenter: Indenter, seen: SeenFrom) -> PressSurface:
+    """Pixels of the first environment of a press that has converged; at rest, of the points that
+    they show now."""
     fine = FineSurface(
         env.solver,
         indenter.name,
-        grid,
+        seen.camera,
         texture=indenter.texture,
-        designed_rest=designed_rest,
+        designed_rest=seen.designed_rest,
         env_count=1,
     )
-    signal = SignalTactile.from_solver(env.solver, grid, fine=fine)
+    signal = SignalTactile.from_solver(env.solver, seen.camera, fine=fine)
     signal.update(env.state, who=np.arange(env.model.env_count) == 0)
     height, normals, contact = (
         array.numpy()[0] for array in signal.read("height_m", "normals", "contact")

@@ -19,7 +19,7 @@ from taccel_lab.presses import parse_indenter, physics_difference
 from taccel_lab.presses.mesh import is_beside_edge, profile_press_mesh
 from taccel_lab.presses.options import PressOptions
 from taccel_lab.presses.photo import PhotoReader, PressPhoto
-from taccel_lab.presses.sweep import press_sweep
+from taccel_lab.presses.sweep import path_contact
 from taccel_lab.presses.touch import check_depth
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
@@ -33,7 +33,7 @@ from taccel_lab.signals.color_model import ColorModel
 
 if TYPE_CHECKING:
     from taccel_lab.presses import Indenter, PressPath, PressPhysics
-    from taccel_lab.presses.outcome import FurtherView
+    from taccel_lab.presses.outcome import SeenFrom
     from taccel_lab.profile import SensorProfile
 
 
@@ -159,15 +159,15 @@ class PressPlan:
         return path
 
     @cached_property
-    def _views(self) -> dict[str, FurtherView]:
+    def _views(self) -> dict[str, SeenFrom]:
         """All cameras by name, the main one first, and the pad's face at rest on their pixels."""
-        from taccel_lab.presses.outcome import FurtherView
+        from taccel_lab.presses.outcome import SeenFrom
         from taccel_lab.signals.rest_surface import rest_surface
 
         found = {}
         for name in self.profile.view_names():
             camera = camera_of(self.profile.seen_by(name))
-            found[name] = FurtherView(camera, rest_surface(self.profile.mesh, face_of(camera)))
+            found[name] = SeenFrom(camera, rest_surface(self.profile.mesh, face_of(camera)))
         return found
 
     def mesh_for(self, physics: PressPhysics, path: PressPath, refinement: float = 1.0) -> TetMesh:
@@ -183,28 +183,23 @@ class PressPlan:
         if self.options.mesh == "profile":
             return self.profile.mesh
         try:
-            contact = self.indenter.contact(path.depth_mm)
-            return profile_press_mesh(
-                self.profile,
-                self.options.at_mm,
-                contact,
-                physics.mesh,
-                refinement,
-                self._sweep(path, contact),
-            )
+            contact, sweep = self._contact(path)
+            at_mm, mesh = self.options.at_mm, physics.mesh
+            return profile_press_mesh(self.profile, at_mm, contact, mesh, refinement, sweep)
         except InputError as error:
             x, y = self.options.at_mm
             raise InputError(
                 f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
             ) from error
 
-    def _sweep(self, path: PressPath, contact: float | ToolSection) -> ContactSweep:
+    def _contact(self, path: PressPath) -> tuple[float | ToolSection, ContactSweep]:
         gel, material = self.profile.gel, self.profile.material
-        return press_sweep(path, contact, self.friction, gel.thickness_mm, material.poisson_ratio)
+        return path_contact(
+            self.indenter, path, self.friction, gel.thickness_mm, material.poisson_ratio
+        )
 
     def is_beside_edge(self, path: PressPath) -> bool:
         """Say whether a ball comes so near to the pad's edge that its mesh is no usual one."""
         if self.options.mesh == "profile":
             return False
-        contact = self.indenter.contact(path.depth_mm)
-        return is_beside_edge(self.profile, self.options.at_mm, contact, self._sweep(path, contact))
+        return is_beside_edge(self.profile, self.options.at_mm, *self._contact(path))

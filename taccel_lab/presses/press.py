@@ -17,6 +17,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.presses.files import (
     VIEWS,
+    PressImages,
     painted_images,
     predicted_image,
     write_press,
@@ -47,10 +48,6 @@ def _arrays_alone(function: Callable[..., Any], *arguments: Any) -> None:
     """Call what writes arrays; leave out what draws."""
     if function is write_by:
         function(*arguments)
-
-
-def _no_picture() -> None:
-    return None
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -239,9 +236,10 @@ class Press(Summary):
             return eight_bit(self._painted[0])
         return predicted_image(self.plan.profile, self.outcome)
 
-    def _predicted(self) -> np.ndarray | None:
-        """``image`` before a calibration, for who writes it: the light is followed once."""
-        return self.image
+    def _images(self, pictures: bool) -> PressImages:
+        """Images to be written, the predicted one only with ``pictures``. ``image`` is it: the
+        light is followed once."""
+        return PressImages(*self._painted, lambda: self.image if pictures else None)
 
     def seen_by(self, name: str) -> Press:
         """Return the press as one of the sensor's cameras shows it."""
@@ -336,16 +334,12 @@ class Press(Summary):
         # Apart, so that equal presses have equal files.
         step_s = [step.report.seconds for step in self.outcome.steps]
         write_json(folder / TIMES, {"seconds": self.seconds, "step_seconds": step_s})
-        rgb, frames = self._painted
-        picture = rgb, self._predicted if pictures else _no_picture
-        press = folder, self.outcome, plan.profile
-        write_press(*press, *picture, about, plan.indenter, frames, call)
+        write_press(folder, self.outcome, plan.profile, self._images(pictures), about, call)
         for name in self.outcome.views:
             seen = self.seen_by(name)
             inner = folder / VIEWS / name
             inner.mkdir(parents=True)
-            picture = seen._painted[0], seen._predicted if pictures else _no_picture
-            write_seen(inner, seen.outcome, seen.plan.profile, *picture, call)
+            write_seen(inner, seen.outcome, seen.plan.profile, seen._images(pictures), call)
         if pictures and plan.photo is not None and self.like is not None:
             assert self.simulated_photo is not None
             figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])

@@ -156,14 +156,14 @@ class PressRun(PressPlan):
         finished: list[PressOutcome],
     ) -> PressOutcome:
         """Press along a path; what is this run's own is put into ``finished``, cut short or not."""
-        from taccel_lab.presses import profile_material, simulate_press
+        from taccel_lab.presses import PressSetup, profile_material, simulate_press
 
         # One below the options' resolution stands beside them and is nobody's result.
         beside = at.mesh < 1
         physics = self.near(physics, path, friction)
         physics = replace(physics, dhat_m=at.dhat * physics.dhat_m)
-        gel = self.mesh_for(physics, path, at.mesh)
-        material = profile_material(self.profile.material, gel)
+        mesh = self.mesh_for(physics, path, at.mesh)
+        material = profile_material(self.profile.material, mesh)
         main, *further = self._views.items()
         path = path.bounded(material.branches, friction).with_steps(at.steps)
         count, remembers = len(path.way_there()), friction > 0 or bool(material.branches)
@@ -175,21 +175,16 @@ class PressRun(PressPlan):
             elif not material.branches:
                 path = path.with_steps(2 * math.ceil(count / 4) / count)
             physics = replace(physics, relative_tolerance=10 * physics.relative_tolerance)
+        device = self.options.device
         outcome = simulate_press(
-            gel,
-            material,
-            self.indenter,
+            PressSetup(mesh, material, self.indenter, friction, physics, device),
             self.options.at_mm,
             path,
-            main[1].camera,
-            friction_coefficient=friction,
-            physics=physics,
-            designed_rest=main[1].designed_rest,
-            device=self.options.device,
-            progress=None if beside else progress,
-            keep_states=self.options.states and not beside,
-            stopped=None if beside else finished.append,
+            main[1],
             views={} if beside else dict(further),
+            progress=None if beside else progress,
+            stopped=None if beside else finished.append,
+            keep_states=self.options.states and not beside,
             with_fewer_steps=beside and remembers,
         )
         if not beside:

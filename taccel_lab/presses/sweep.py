@@ -11,10 +11,23 @@ import numpy as np
 from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.path import PressPath
 
 _BALL_SHARE = 2 / 3
 """Force of a ball over that of a flat punch of its contact radius, as deep [Hertz]."""
+
+
+def path_contact(
+    indenter: Indenter,
+    path: PressPath,
+    friction: float,
+    thickness_mm: float,
+    poisson_ratio: float,
+) -> tuple[float | ToolSection, ContactSweep]:
+    """Contact of a press, see ``Indenter.contact``, and its way, see ``press_sweep``."""
+    contact = indenter.contact(path.depth_mm)
+    return contact, press_sweep(path, contact, friction, thickness_mm, poisson_ratio)
 
 
 def press_sweep(

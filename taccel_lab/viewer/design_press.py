@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,12 +22,12 @@ from taccel_lab.presses import (
     Accuracy,
     PressEnv,
     PressPath,
+    PressSetup,
     layered_material,
     parse_indenter,
 )
-from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.mesh import Pad, pad_press_mesh
 from taccel_lab.presses.mesh_options import PressMeshOptions
-from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.scene import Material
 from taccel_lab.viewer.ball_press import BallPress, PressAnswer, SupersededError
 
@@ -66,23 +67,28 @@ def press_ball(
         InputError: A gel that cannot be meshed for the press.
         SimulationError: The press did not converge.
     """
-    physics: PressPhysics = QUICK if quick else PHYSICS[Accuracy.DEFAULT]
-    indenter = parse_indenter(f"sphere:{press.radius_mm:g}")
-    mesh = _mesh(parameters, indenter.contact(press.depth_mm), physics)
+    indenter, path = parse_indenter(f"sphere:{press.radius_mm:g}"), PressPath(press.depth_mm)
     layers = parameters.layer_materials()
-    material = layered_material(
-        [Material(one.young_modulus_pa, one.poisson_ratio, one.density_kg_m3) for one in layers],
-        mesh,
-    )
-    env = PressEnv(
-        mesh,
-        material,
-        indenter,
-        np.zeros((1, 2)),
-        friction_coefficient=layers[0].friction_coefficient,
-        physics=physics,
-    )
-    path = PressPath(press.depth_mm)
+    materials = [
+        Material(one.young_modulus_pa, one.poisson_ratio, one.density_kg_m3) for one in layers
+    ]
+    friction, poisson_ratio = layers[0].friction_coefficient, layers[0].poisson_ratio
+    material_of = partial(layered_material, materials)
+    if quick:
+        mesh = _quick_mesh(parameters.pad(), indenter.contact(press.depth_mm))
+        setup = PressSetup(mesh, material_of(mesh), indenter, friction, QUICK)
+    else:
+        setup = PressSetup.on_pad(
+            parameters.pad(),
+            material_of,
+            indenter,
+            (0.0, 0.0),
+            path,
+            poisson_ratio=poisson_ratio,
+            friction_coefficient=friction,
+            physics=PHYSICS[Accuracy.DEFAULT].of_press(press.depth_mm, friction, poisson_ratio),
+        )
+    env = PressEnv(setup, np.zeros((1, 2)))
     if quick:
         path = replace(path, step_mm=press.depth_mm / QUICK_STEPS)
 
@@ -98,17 +104,12 @@ def press_ball(
     return _answer(env, math.nan if quick else float(env.error_estimate().force_n[0]))
 
 
-def _mesh(
-    parameters: FamilyParameters, contact: float | ToolSection, physics: PressPhysics
-) -> TetMesh:
+def _quick_mesh(pad: Pad, contact: float | ToolSection) -> TetMesh:
     """The gel around the press; pads with rings along their edge need more rings than a coarse
     mesh has."""
-    pad = parameters.pad()
     try:
-        return pad_press_mesh(pad, (0.0, 0.0), contact, physics.mesh)
+        return pad_press_mesh(pad, (0.0, 0.0), contact, QUICK.mesh)
     except InputError:
-        if physics is not QUICK:
-            raise
         return pad_press_mesh(pad, (0.0, 0.0), contact, replace(QUICK.mesh, rings=MORE_RINGS))
 
 

@@ -22,7 +22,14 @@ from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.image_measures import psnr_db
 from taccel_lab.optics.render import OpticalModel
-from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
+from taccel_lab.presses import (
+    PressOutcome,
+    PressPath,
+    PressSetup,
+    SeenFrom,
+    parse_indenter,
+    simulate_press,
+)
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.presses.mesh_options import PressMeshOptions
 from taccel_lab.presses.physics import PHYSICS, Accuracy
@@ -74,10 +81,8 @@ def truth(grid: PixelGrid, indenter: str, at_mm: tuple[float, float], depth_mm: 
     """A press as it happens on the bench."""
     tool = parse_indenter(indenter)
     mesh = press_mesh(FAMILY, {}, at_mm, CONTACT_MM, TRUTH.mesh)
-    return simulate_press(
-        mesh, Material(1.5e5, 0.48), tool, at_mm, PressPath(depth_mm), grid,
-        friction_coefficient=FRICTION, physics=TRUTH,
-    )  # fmt: skip
+    setup = PressSetup(mesh, Material(1.5e5, 0.48), tool, FRICTION, TRUTH)
+    return simulate_press(setup, at_mm, PressPath(depth_mm), SeenFrom(grid))
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,16 @@ import numpy as np
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
-from taccel_lab.presses import PressEnv, parse_indenter
+from taccel_lab.presses import PressEnv, PressSetup, parse_indenter
 from taccel_lab.scene import Material
 
 
 def test_a_node_slides_from_the_end_of_the_smoothing_on() -> None:
     """A ball is dragged until nodes of its contact lie on both sides of that end, and near it."""
     mesh, ball = block_mesh((8, 8, 3), (8e-3, 8e-3, 4e-3)), parse_indenter("sphere:4")
-    env = PressEnv(mesh, Material(1e5, 0.45), ball, np.zeros((1, 2)), friction_coefficient=0.5)
+    env = PressEnv(
+        PressSetup(mesh, Material(1e5, 0.45), ball, friction_coefficient=0.5), np.zeros((1, 2))
+    )
     env.move_to(0.4)
     friction = env.solver.friction
     assert friction is not None

@@ -11,7 +11,7 @@ from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs, SurfaceLoad
 from taccel_lab.outputs.surface_load import SurfaceLoadReader
-from taccel_lab.presses import PressEnv, parse_indenter
+from taccel_lab.presses import PressEnv, PressSetup, parse_indenter
 from taccel_lab.presses.mesh import PressMeshOptions, press_mesh
 from taccel_lab.scene import Ball, Material, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig
@@ -89,7 +89,7 @@ def test_pressure_on_a_bonded_pad_is_that_of_a_fine_mesh() -> None:
         mesh = press_mesh("gelsight", {}, at_mm, 0.85, options)
         gel, ball = Material(1.5e5, 0.46), parse_indenter("sphere:2.0")
         config = SolverConfig(dhat_m=5e-6)
-        env = PressEnv(mesh, gel, ball, np.array([at_mm]), config=config)
+        env = PressEnv(PressSetup(mesh, gel, ball), np.array([at_mm]), config=config)
         env.move_to(depth_mm)
         load = Outputs(env.solver).update(env.state).surface_load
         soft = slice(0, env.model.soft_count)

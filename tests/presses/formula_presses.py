@@ -10,16 +10,25 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import SimulationError
-from taccel_lab.presses import PHYSICS, Accuracy, PressOutcome, PressPath, PressStep
+from taccel_lab.presses import (
+    PHYSICS,
+    Accuracy,
+    PressOutcome,
+    PressPath,
+    PressSetup,
+    PressStep,
+    parse_indenter,
+)
 from taccel_lab.presses.numerical_error import (
     MOST_LEVELS,
     MeasuredPress,
     Resolution,
     measured_press,
 )
-from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.scene import Ball, Material, TriangleMesh
 from taccel_lab.solvers import StepReport
 
+GEL, BALL = Material(1e5, 0.45), parse_indenter("sphere:4")
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
 DEPTH_M = 5e-4
 TRUE_N = 2.0
@@ -36,8 +45,8 @@ def outcome(
     report = StepReport.__new__(StepReport)
     return PressOutcome(
         mesh=None,  # type: ignore[arg-type]
+        setup=PressSetup(None, GEL, BALL, physics=DEFAULT),  # type: ignore[arg-type]
         path=path,
-        physics=DEFAULT,
         steps=[PressStep(path.depth_mm, (0.0, 0.0), 0.0, wrench, report)],
         force_error_n=np.nan,
         height_error_m=np.nan,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.presses import PressEnv, profile_material
+from taccel_lab.presses import PressEnv, PressSetup, profile_material
 from taccel_lab.presses.options import PressOptions
 from taccel_lab.presses.run import PressRun
 
@@ -27,14 +27,7 @@ def env_of(sensor: str, **options: object) -> tuple[PressEnv, PressRun]:
     material = profile_material(run.profile.material, run.gel)
     at_mm = np.array([run.options.at_mm])
     physics = run.near(run.physics, run.options.path(0.5), run.friction)
-    env = PressEnv(
-        run.gel,
-        material,
-        run.indenter,
-        at_mm,
-        friction_coefficient=run.friction,
-        physics=physics,
-    )
+    env = PressEnv(PressSetup(run.gel, material, run.indenter, run.friction, physics), at_mm)
     return env, run
 
 

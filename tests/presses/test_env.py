@@ -22,7 +22,15 @@ from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadratic_kernels
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_law
 from taccel_lab.outputs import Outputs
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
+from taccel_lab.presses import (
+    PHYSICS,
+    Accuracy,
+    PressEnv,
+    PressPath,
+    PressPhysics,
+    PressSetup,
+    parse_indenter,
+)
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.scene import Material, MaxwellBranch
 from taccel_lab.solvers import EnvStatus, SolverConfig
@@ -34,10 +42,12 @@ BALL = parse_indenter("sphere:2.0")
 
 
 def press_env(
-    indenter: str = "sphere:2.0", at_mm: tuple[float, float] = (0.0, 0.0), **options: Any
-) -> PressEnv:
+    indenter: str = "sphere:2.0", at_mm: tuple[float, float] = (0.0, 0.0),
+    config: SolverConfig | None = None, **options: Any,
+) -> PressEnv:  # fmt: skip
     options = {"physics": LINEAR, **options}
-    return PressEnv(pad(at_mm), GEL, parse_indenter(indenter), np.array([at_mm]), **options)
+    setup = PressSetup(pad(at_mm), GEL, parse_indenter(indenter), **options)
+    return PressEnv(setup, np.array([at_mm]), config=config)
 
 
 @pytest.mark.thorough(cases=("cylinder:1.0", "sphere:2.0"))
@@ -108,8 +118,8 @@ def test_shear_is_resisted(direction):
 
 @pytest.mark.parametrize("twist", [4.0, -4.0])
 def test_twist_is_resisted(twist):
-    tool, options = parse_indenter("box:2x2"), {"friction_coefficient": 0.5, "physics": LINEAR}
-    env = PressEnv(pad((0.0, 0.0), 1.41), GEL, tool, np.zeros((1, 2)), **options)
+    setup = PressSetup(pad((0.0, 0.0), 1.41), GEL, parse_indenter("box:2x2"), 0.5, LINEAR)
+    env = PressEnv(setup, np.zeros((1, 2)))
     env.move_to(0.3)
     before = env.wrench[0, 5]
     env.move_to(0.3, twist_deg=twist)
@@ -132,10 +142,10 @@ def test_sliding_keeps_to_coulombs_law():
 def test_only_what_failed_is_halved():
     """The deep press of two, where it may take fewer iterations than it needs in one piece."""
     at, depths = np.zeros((2, 2)), np.array([0.05, 0.8])
-    whole = PressEnv(pad(), GEL, BALL, at)
+    whole = PressEnv(PressSetup(pad(), GEL, BALL), at)
     taken = whole.move_to(depths)
     config = replace(whole.solver.config, max_newton_iterations=taken.newton_iterations[1] - 2)
-    env = PressEnv(pad(), GEL, BALL, at, config=config)
+    env = PressEnv(PressSetup(pad(), GEL, BALL), at, config=config)
     report = env.move_to(depths)
     assert report.converged.all()
     # Once it has arrived, either may be corrected for the gap that it had.
@@ -180,7 +190,8 @@ def test_batch_equals_single_presses():
     places, depths = [(0.0, 0.0), (2.0, -1.0), (-3.0, 1.5)], np.array([0.2, 0.35, 0.1])
     options = {"friction_coefficient": 0.5, "physics": LINEAR}
     rests = np.stack([pad(place).nodes_m for place in places])
-    batch = PressEnv(pad(places[0]), GEL, BALL, np.array(places), rest_positions_m=rests, **options)
+    setup = PressSetup(pad(places[0]), GEL, BALL, **options)
+    batch = PressEnv(setup, np.array(places), rest_positions_m=rests)
     batch.move_to(depths)
     for i, place in enumerate(places):
         single = press_env(at_mm=place, **options)
@@ -212,7 +223,7 @@ def test_depth_is_limited_by_the_gel_below(at_mm, thick_mm):
 )
 def test_a_press_beside_the_gel_is_refused(at_mm, message):
     with pytest.raises(InputError, match=message):
-        PressEnv(pad(), GEL, BALL, np.array([at_mm]))
+        PressEnv(PressSetup(pad(), GEL, BALL), np.array([at_mm]))
 
 
 @pytest.mark.parametrize(
@@ -226,7 +237,7 @@ def test_a_press_beside_the_gel_is_refused(at_mm, message):
     ],
 )
 def test_motions_that_no_press_makes_are_refused(depth_mm, motion, message):
-    env = PressEnv(pad(), GEL, BALL, np.zeros((2, 2)))
+    env = PressEnv(PressSetup(pad(), GEL, BALL), np.zeros((2, 2)))
     with pytest.raises(InputError, match=message):
         env.move_to(depth_mm, **motion)
 
@@ -237,7 +248,7 @@ def test_a_shear_into_a_bonded_wall_is_refused_before_the_press():
     wall = (block.nodes_m[block.faces][..., 0] > 4e-3 - 1e-9).all(axis=1)
     region = np.where(wall, int(Region.BOND), block.face_regions)
     mesh = TetMesh(block.nodes_m, block.tets, block.faces, region)
-    env = PressEnv(mesh, GEL, BALL, np.zeros((1, 2)), physics=LINEAR)
+    env = PressEnv(PressSetup(mesh, GEL, BALL, physics=LINEAR), np.zeros((1, 2)))
     start = env.poses
     words = r"shear \(3, 0\) mm and twist 0 deg cannot be done: 'sphere:2.0' would pass"
     with pytest.raises(InputError, match=words):
@@ -266,7 +277,8 @@ def at_rest(
 ) -> PressEnv:  # fmt: skip
     tool = parse_indenter(indenter)
     mesh = press_mesh("flat_pad", {}, (0.0, 0.0), tool.contact(depth_mm), physics.mesh)
-    return PressEnv(mesh, gel, tool, np.zeros((envs, 2)), physics=physics, **options)
+    setup = PressSetup(mesh, gel, tool, physics=physics, **options)
+    return PressEnv(setup, np.zeros((envs, 2)))
 
 
 @cache

@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model.embedding import rotate
-from taccel_lab.presses import PressEnv, PressPath, normal_frame, parse_indenter
+from taccel_lab.presses import PressEnv, PressPath, PressSetup, normal_frame, parse_indenter
 from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.touch import gel_below_m
 from taccel_lab.solvers import SolverConfig
@@ -41,7 +41,7 @@ def test_normal_frame(way):
 
 
 def env_in(frames: list | np.ndarray) -> PressEnv:
-    return PressEnv(pad(), GEL, BALL, np.zeros((1, 2)), gel_from_press=np.array(frames))
+    return PressEnv(PressSetup(pad(), GEL, BALL), np.zeros((1, 2)), gel_from_press=np.array(frames))
 
 
 @pytest.mark.parametrize(
@@ -61,10 +61,9 @@ def test_bad_normals_and_frames(make, given, message):
 
 
 def pressed(mesh: TetMesh, indenter: str, **frame: np.ndarray) -> PressEnv:
-    env = PressEnv(
-        mesh, GEL, parse_indenter(indenter), np.array([[0.4, -0.2]]), friction_coefficient=0.4,
-        physics=LINEAR, config=SolverConfig(relative_tolerance=1e-8), **frame,
-    )  # fmt: skip
+    setup = PressSetup(mesh, GEL, parse_indenter(indenter), 0.4, LINEAR)
+    config = SolverConfig(relative_tolerance=1e-8)
+    env = PressEnv(setup, np.array([[0.4, -0.2]]), config=config, **frame)
     env.follow(PressPath(0.3, (0.05, 0.02), 3.0, step_mm=0.3, step_deg=3.0))
     return env
 
@@ -93,7 +92,7 @@ def test_a_press_from_the_side_pushes_sideways():
     regions = np.where(block.face_regions == Region.SIDE, Region.CONTACT, block.face_regions)
     mesh = TetMesh(block.nodes_m, block.tets, block.faces, regions)
     frame = normal_frame(np.array([4e-3, 0.0, -2e-3]), np.array([1.0, 0.0, 0.0]))
-    env = PressEnv(mesh, GEL, BALL, np.zeros((1, 2)), gel_from_press=frame[None])
+    env = PressEnv(PressSetup(mesh, GEL, BALL), np.zeros((1, 2)), gel_from_press=frame[None])
     assert env.poses[0, 0, 0] > 6e-3
     env.move_to(0.3)
     assert env.poses[0, 0, :3] == pytest.approx([5.7e-3 + env.setback_m[0], 0, -2e-3], abs=1e-9)
@@ -141,8 +140,7 @@ def test_turns_by_rotation_vectors():
 @pytest.mark.thorough
 def test_a_ball_that_rolls_keeps_its_force():
     """Rolling on by radius times angle drags the gel along far less than sliding as far."""
-    options = {"friction_coefficient": 0.8, "physics": LINEAR}
-    env = PressEnv(pad(), GEL, BALL, np.zeros((2, 2)), **options)
+    env = PressEnv(PressSetup(pad(), GEL, BALL, 0.8, LINEAR), np.zeros((2, 2)))
     env.move_to(0.2)
     shear = np.array([[2.0 * math.radians(6.0), 0.0]] * 2)
     report = env.try_to(0.2, shear, np.array([[0.0, 6.0, 0.0], [0.0, 0.0, 0.0]]))

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tool_section import ToolSection
-from taccel_lab.presses import Indenter, PressEnv, parse_indenter
+from taccel_lab.presses import Indenter, PressEnv, PressSetup, parse_indenter
 from taccel_lab.presses.indenter import edge_mesh
 from taccel_lab.scene import Material, TriangleMesh, box_mesh
 from taccel_lab.studies.presses.standard import StandardPress
@@ -199,7 +199,7 @@ def test_parts_smaller_than_the_depth_or_an_element_are_refused(tmp_path):
     for cells, refused in ((4, True), (20, False)):
         mesh = block_mesh((cells, cells, 2), (6e-3, 6e-3, 3e-3))
         with pytest.raises(InputError, match=words) if refused else nullcontext():
-            PressEnv(mesh, Material(1e5, 0.4), tool, np.zeros((1, 2)))
+            PressEnv(PressSetup(mesh, Material(1e5, 0.4), tool), np.zeros((1, 2)))
 
 
 def test_a_part_of_python_in_millimetres_is_refused():

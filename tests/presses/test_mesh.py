@@ -17,7 +17,7 @@ from taccel_lab.geometry import Region
 from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.embedding import rotate
-from taccel_lab.presses import PressEnv, PressMeshOptions, normal_frame, parse_indenter
+from taccel_lab.presses import PressEnv, PressMeshOptions, PressSetup, normal_frame, parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.mesh import pad_press_mesh, press_mesh, refined_press_mesh
 from taccel_lab.presses.mesh_options import DEFAULT_PRESS_MESH
@@ -217,7 +217,7 @@ def test_a_ball_on_a_gel_of_0_8_mm_feels_the_closed_form(tool: str, poisson: flo
     pad = sensor_family("flat_pad").parameters({"thickness_mm": 0.8}).pad()
     indenter = parse_indenter(tool)
     mesh = pad_press_mesh(pad, (0.0, 0.0), indenter.contact(0.16))
-    env = PressEnv(mesh, Material(1e5, poisson), indenter, np.zeros((1, 2)))
+    env = PressEnv(PressSetup(mesh, Material(1e5, poisson), indenter), np.zeros((1, 2)))
     for depth in (0.08, 0.16):
         report = env.try_to(np.array([depth]), np.zeros((1, 2)), 0.0, stay=np.zeros(1, dtype=bool))
         assert report.converged.all()

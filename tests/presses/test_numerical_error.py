@@ -145,7 +145,9 @@ def test_a_coarse_press_that_means_nothing_is_stated_and_not_taken_off(shape, co
 def test_friction_and_a_wide_contact_range_widen_what_is_stated():
     def share(shape: Ball | TriangleMesh = BALL, friction=0.0, dhat_m=1e-6):
         def press(at):
-            return replace(outcome(at, TRUE_N), physics=replace(DEFAULT, dhat_m=dhat_m))
+            found = outcome(at, TRUE_N)
+            wide = replace(found.setup, physics=replace(DEFAULT, dhat_m=dhat_m))
+            return replace(found, setup=wide)
 
         found = measured_press(press, DEFAULT, shape, friction=friction, remembers=True)
         return found.error.share

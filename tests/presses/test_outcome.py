@@ -14,7 +14,7 @@ import pytest
 import taccel_lab as tl
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.files.atomic_file import to_jsonable
-from taccel_lab.presses import PHYSICS, Indenter, simulate_press
+from taccel_lab.presses import PHYSICS, Indenter, PressPhysics, SeenFrom, simulate_press
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.presses.path import HOLD_STEPS
 from taccel_lab.scene import MaxwellBranch
@@ -31,9 +31,11 @@ PATH = tl.PressPath(0.5, (0.06, 0.0), 2.0, step_mm=0.25)
 
 
 def press(
-    mesh: Any, tool: Indenter, path: tl.PressPath, friction: float, **more: Any
-) -> tl.PressOutcome:
-    return simulate_press(mesh, GEL, tool, AT_MM, path, GRID, friction_coefficient=friction, **more)
+    mesh: Any, tool: Indenter, path: tl.PressPath, friction: float,
+    physics: PressPhysics = PHYSICS[tl.Accuracy.DEFAULT], **more: Any,
+) -> tl.PressOutcome:  # fmt: skip
+    setup = tl.PressSetup(mesh, GEL, tool, friction, physics)
+    return simulate_press(setup, AT_MM, path, SeenFrom(GRID), **more)
 
 
 @pytest.fixture(scope="module")
@@ -168,11 +170,9 @@ def test_heights_of_a_dome_reach_its_border():
     camera, physics = camera_of(profile), PHYSICS[tl.Accuracy.FAST]
     tool = tl.parse_indenter("sphere:4")
     mesh = press_mesh("rtac", {}, (0.0, 0.0), tool.contact(0.1), physics.mesh)
-    found = simulate_press(
-        mesh, tl.Material(55e3, 0.46), tool, (0.0, 0.0), tl.PressPath(0.1), camera,
-        friction_coefficient=0.0, physics=physics,
-        designed_rest=rest_surface(profile.mesh, face_of(camera)),
-    )  # fmt: skip
+    setup = tl.PressSetup(mesh, tl.Material(55e3, 0.46), tool, physics=physics)
+    seen = SeenFrom(camera, rest_surface(profile.mesh, face_of(camera)))
+    found = simulate_press(setup, (0.0, 0.0), tl.PressPath(0.1), seen)
     assert (np.isfinite(found.height_m) == np.isfinite(found.rest_height_m)).mean() > 0.999
 
 
@@ -187,10 +187,8 @@ DOWN = len(LOAD.way_there())
 def in_time(
     path: tl.PressPath, material: tl.Material = RELAXING, friction: float = 0.0
 ) -> tl.PressOutcome:
-    return simulate_press(
-        MESH, material, tl.parse_indenter("sphere:3"), (0.0, 0.0), path, COARSE_GRID,
-        friction_coefficient=friction, physics=LINEAR,
-    )  # fmt: skip
+    setup = tl.PressSetup(MESH, material, tl.parse_indenter("sphere:3"), friction, LINEAR)
+    return simulate_press(setup, (0.0, 0.0), path, SeenFrom(COARSE_GRID))
 
 
 def forces(outcome: tl.PressOutcome) -> np.ndarray:

@@ -34,7 +34,9 @@ def pressed(
 ) -> tl.PressEnv:
     tool = tl.parse_indenter(indenter)
     mesh = press_mesh("flat_pad", PAD, (0.0, 0.0), tool.contact(depth_mm), physics.mesh)
-    env = tl.PressEnv(mesh, tl.Material(0.15e6, 0.45), tool, np.zeros((1, 2)), physics=physics)
+    env = tl.PressEnv(
+        tl.PressSetup(mesh, tl.Material(0.15e6, 0.45), tool, physics=physics), np.zeros((1, 2))
+    )
     env.follow(tl.PressPath(depth_mm, step_mm=0.5))
     return env
 
@@ -56,7 +58,9 @@ def rim_pressed(
     """A press beside the middle of a sensor's gel."""
     tool, at_mm = tl.parse_indenter(indenter), (0.7, -0.4)
     mesh = press_mesh(gel[0], {}, at_mm, tool.contact(depth_mm))
-    env = tl.PressEnv(mesh, gel[1], tool, np.array([at_mm]), friction_coefficient=friction)
+    env = tl.PressEnv(
+        tl.PressSetup(mesh, gel[1], tool, friction_coefficient=friction), np.array([at_mm])
+    )
     return env, env.follow(tl.PressPath(depth_mm))[-1]
 
 
@@ -105,7 +109,9 @@ def test_no_tet_turns_inside_out_under_a_flat_pin():
     mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.6))
     layers = sensor_family("gelsight_mini").parameters().layer_materials()
     material = layered_material([tl.Material(m.young_modulus_pa, 0.46) for m in layers], mesh)
-    env = tl.PressEnv(mesh, material, tool, np.zeros((1, 2)), friction_coefficient=0.5)
+    env = tl.PressEnv(
+        tl.PressSetup(mesh, material, tool, friction_coefficient=0.5), np.zeros((1, 2))
+    )
     env.follow(tl.PressPath(0.6))
     assert env.depth_m[0] == pytest.approx(0.6e-3)
     assert 0 < smallest_ratios(env.solver.elastic, env.state.positions)[0] < 0.1
@@ -156,10 +162,8 @@ def test_grades_are_ordered():
 
 
 def press_env(dhat_m: float = 1e-5, env_count: int = 1) -> tl.PressEnv:
-    return tl.PressEnv(
-        pad(), GEL, tl.parse_indenter("sphere:2.0"), np.zeros((env_count, 2)),
-        friction_coefficient=0.5, config=tl.SolverConfig(dhat_m=dhat_m),
-    )  # fmt: skip
+    setup = tl.PressSetup(pad(), GEL, tl.parse_indenter("sphere:2.0"), 0.5)
+    return tl.PressEnv(setup, np.zeros((env_count, 2)), config=tl.SolverConfig(dhat_m=dhat_m))
 
 
 def sheared(dhat_m: float) -> np.ndarray:
@@ -243,7 +247,9 @@ def layered():
 
 
 def force(mesh: tl.TetMesh, material: tl.Material | tl.MaterialField) -> float:
-    env = tl.PressEnv(mesh, material, tl.parse_indenter("sphere:2"), np.zeros((1, 2)))
+    env = tl.PressEnv(
+        tl.PressSetup(mesh, material, tl.parse_indenter("sphere:2")), np.zeros((1, 2))
+    )
     env.move_to(0.3)
     return float(env.wrench[0, 2])
 

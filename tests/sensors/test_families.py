@@ -19,7 +19,7 @@ from taccel_lab.cad.parameters import Parameter
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
-from taccel_lab.presses import PressEnv, layered_material, parse_indenter
+from taccel_lab.presses import PressEnv, PressSetup, layered_material, parse_indenter
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors import FamilyParameters, SensorFamily, profile, sensor_families
@@ -110,7 +110,9 @@ def assert_pressed(parameters: FamilyParameters) -> None:
     ]
     material, ball = layered_material(layers, mesh), parse_indenter(f"sphere:{radius}")
     friction = parameters.material().friction_coefficient
-    env = PressEnv(mesh, material, ball, np.zeros((1, 2)), friction_coefficient=friction)
+    env = PressEnv(
+        PressSetup(mesh, material, ball, friction_coefficient=friction), np.zeros((1, 2))
+    )
     forces = []
     for part in (0.5, 1.0):
         assert env.move_to(part * depth).converged.all()

@@ -16,9 +16,9 @@ from taccel_lab.cad.gel_import import FaceSelection
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import (
-    PHYSICS,
-    Accuracy,
     PressPath,
+    PressSetup,
+    SeenFrom,
     parse_indenter,
     profile_material,
     simulate_press,
@@ -107,9 +107,8 @@ def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResu
         pad_press_mesh(parameters.pad(), at_mm, ball.contact(0.4)),
     ):
         outcome = simulate_press(
-            mesh, material, ball, at_mm, PressPath(0.4), profile.grid(),
-            friction_coefficient=0.5, physics=PHYSICS[Accuracy.DEFAULT],
-        )  # fmt: skip
+            PressSetup(mesh, material, ball, 0.5), at_mm, PressPath(0.4), SeenFrom(profile.grid())
+        )
         forces.append(outcome.figures()["force_n"])
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
 

@@ -22,9 +22,8 @@ AT_MM = np.array([[0.0, 0.0], [0.5, 0.3]])
 def block_env(cells: int, size_mm: float, envs: int = 1, **options: object) -> tl.PressEnv:
     """A block 4 mm thick under a ball of 4 mm."""
     mesh = block_mesh((cells, cells, max(2, cells // 4)), (size_mm * 1e-3, size_mm * 1e-3, 4e-3))
-    return tl.PressEnv(
-        mesh, tl.Material(1e5, 0.45), tl.parse_indenter("sphere:4"), AT_MM[:envs], **options
-    )
+    gel, ball = tl.Material(1e5, 0.45), tl.parse_indenter("sphere:4")
+    return tl.PressEnv(tl.PressSetup(mesh, gel, ball, **options), AT_MM[:envs])
 
 
 @lru_cache

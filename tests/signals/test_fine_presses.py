@@ -17,7 +17,7 @@ import pytest
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.contact_layer import mean_gaps
-from taccel_lab.presses import Indenter, PressEnv, PressMeshOptions
+from taccel_lab.presses import Indenter, PressEnv, PressMeshOptions, PressSetup
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.presses.outcome import contact_radii_m
 from taccel_lab.scene import Ball, Material
@@ -98,7 +98,7 @@ def simulated(
 ) -> list[PressedTo]:
     mesh = press_mesh("gelsight", {}, at_mm, 1.85, options)
     at, gel = np.array([at_mm]), Material(1.5e5, 0.46)
-    env = PressEnv(mesh, gel, BALL, at, friction_coefficient=friction)
+    env = PressEnv(PressSetup(mesh, gel, BALL, friction_coefficient=friction), at)
     outputs, fine = Outputs(env.solver), FineSurface(env.solver, "ball", GRID)
     signal = SignalTactile.from_solver(env.solver, GRID, fine=fine)
     surface, nodes = ContactFaceMesh.from_mesh(env.mesh), env.model.bodies[0].nodes
@@ -225,7 +225,7 @@ def coarse_press(
         press_mesh("gelsight", {}, at_mm, radius_mm, options),
         SolverConfig(dhat_m=dhat_m),
     )
-    return PressEnv(mesh, Material(1.5e5, 0.46), BALL, np.array([at_mm]), config=config)
+    return PressEnv(PressSetup(mesh, Material(1.5e5, 0.46), BALL), np.array([at_mm]), config=config)
 
 
 def radius_m(env: PressEnv) -> float:

@@ -31,9 +31,11 @@ def pressed(textured: bool) -> tl.PressEnv:
     """A ball of 4 mm, 0.3 mm deep in three places of elements of 0.75 mm; the last
     is not touched."""
     env = tl.PressEnv(
-        block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3)),
-        tl.Material(1e5, 0.45),
-        tl.parse_indenter("sphere:4", WAVES if textured else None),
+        tl.PressSetup(
+            block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3)),
+            tl.Material(1e5, 0.45),
+            tl.parse_indenter("sphere:4", WAVES if textured else None),
+        ),
         np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]),
     )
     env.move_to(np.array([0.3, 0.3, -0.5]))

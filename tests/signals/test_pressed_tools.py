@@ -9,7 +9,7 @@ import pyvista
 import torch
 
 import taccel_lab as tl
-from taccel_lab.presses import PHYSICS, Indenter, simulate_press
+from taccel_lab.presses import PHYSICS, Indenter, SeenFrom, simulate_press
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
@@ -24,10 +24,8 @@ def press(
 ) -> tl.PressOutcome:  # fmt: skip
     physics = PHYSICS[accuracy]
     mesh = press_mesh(sensor, {}, at_mm, indenter.contact(depth_mm), physics.mesh)
-    return simulate_press(
-        mesh, tl.Material(1.5e5, 0.48), indenter, at_mm, tl.PressPath(depth_mm), grid,
-        friction_coefficient=friction, physics=physics, **more,
-    )  # fmt: skip
+    setup = tl.PressSetup(mesh, tl.Material(1.5e5, 0.48), indenter, friction, physics)
+    return simulate_press(setup, at_mm, tl.PressPath(depth_mm), SeenFrom(grid), **more)
 
 
 def sunk_mm(press: tl.PressOutcome) -> np.ndarray:

@@ -20,7 +20,7 @@ from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
-from taccel_lab.presses import PressEnv, PressPath, parse_indenter
+from taccel_lab.presses import PressEnv, PressPath, PressSetup, parse_indenter
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import FineSurface, SignalTactile
@@ -57,7 +57,7 @@ def step() -> dict[str, Any]:
 
 
 def press() -> dict[str, Any]:
-    env = PressEnv(GEL.mesh, GEL.material, parse_indenter("sphere:3"), np.zeros((1, 2)))
+    env = PressEnv(PressSetup(GEL.mesh, GEL.material, parse_indenter("sphere:3")), np.zeros((1, 2)))
     env.follow(PressPath(0.1, (0.0, 0.0), 0.0, 0.1, 2.0), lambda done, total, report: None)
     return {"env": env, "solver": env.solver, "model": env.model}
 

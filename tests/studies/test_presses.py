@@ -16,7 +16,7 @@ from scipy.spatial import Delaunay
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressSetup, parse_indenter
 from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.presses.mesh_options import OutlineMeshOptions
 from taccel_lab.scene import Material
@@ -177,10 +177,9 @@ def test_positions_do_not_depend_on_the_modulus() -> None:
     job = jobs(coarse("shear", steps=1, shear_steps=1, twist_steps=1), friction=1.0)[0]
     press, found = job.press, []
     for modulus in (REFERENCE_PA, 7.3 * REFERENCE_PA):
-        env = PressEnv(
-            job.mesh, Material(modulus, NU), parse_indenter(job.indenter), np.zeros((1, 2)),
-            friction_coefficient=job.friction, gel_from_press=job.gel_from_press[None],
-        )  # fmt: skip
+        gel, tool = Material(modulus, NU), parse_indenter(job.indenter)
+        setup = PressSetup(job.mesh, gel, tool, job.friction)
+        env = PressEnv(setup, np.zeros((1, 2)), gel_from_press=job.gel_from_press[None])
         depth = press.full_depth_mm(float(env.thickness_m[0]) * 1e3)
         for point in press.waypoints():
             shear = (point.shear * press.shear_fraction * depth, 0.0)

@@ -14,10 +14,11 @@ from taccel_lab.presses import (
     Indenter,
     PressEnv,
     PressMeshOptions,
+    PressSetup,
     profile_material,
 )
 from taccel_lab.presses.mesh import pad_press_mesh
-from taccel_lab.presses.outcome import contact_radii_m, press_surface
+from taccel_lab.presses.outcome import SeenFrom, contact_radii_m, press_surface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Ball
 from taccel_lab.sensors.registry import profile_parameters
@@ -44,18 +45,12 @@ def simulated_press(
     physics = SURFACE_PHYSICS
     mesh = pad_press_mesh(profile_parameters(profile).pad(), at_mm, contact_mm, physics.mesh)
     ball = Indenter(f"sphere:{ball_mm:g}", Ball(1e-3 * ball_mm))
-    env = PressEnv(
-        mesh,
-        profile_material(profile.material, mesh),
-        ball,
-        np.array([at_mm]),
-        friction_coefficient=0.0,
-        rest_positions_m=mesh.nodes_m[None],
-        physics=physics,
-    )
+    material = profile_material(profile.material, mesh)
+    setup = PressSetup(mesh, material, ball, physics=physics)
+    env = PressEnv(setup, np.array([at_mm]))
     env.move_to(np.array([depth_mm]))
     window, pose = PixelGrid(121, 121, ball_mm * 1.4 / 60, ball_mm * 1.4 / 60), np.zeros((1, 7))
     pose[0, :2], pose[0, 6] = 1e-3 * np.array(at_mm), 1.0
     radius_mm = 1e3 * float(contact_radii_m(env, ball, window, pose, points=2)[0])
-    seen = press_surface(env, ball, grid, rest_surface(profile.mesh, grid))
+    seen = press_surface(env, ball, SeenFrom(grid, rest_surface(profile.mesh, grid)))
     return radius_mm, 1e3 * (seen.height_m - seen.rest_height_m)

@@ -23,7 +23,7 @@ from taccel_lab.calibration.material.fit import calibrate_material
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.cli.app import main
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPhysics, parse_indenter
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPhysics, PressSetup, parse_indenter
 from taccel_lab.profile import save_profile
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.scene import Material
@@ -49,7 +49,7 @@ def simulated_n(depths_mm: np.ndarray) -> np.ndarray:
         at_mm=(0.0, 0.0), radius_mm=5.0, size_mm=0.9, core=4, rings=5, layers=2, layer_ratio=1.15
     )
     mesh, ball = focused_gel_mesh(pad, focus), parse_indenter("sphere:7.5")
-    env = PressEnv(mesh, Material(1e6, 0.48), ball, np.zeros((1, 2)))
+    env = PressEnv(PressSetup(mesh, Material(1e6, 0.48), ball), np.zeros((1, 2)))
     assert env.model.soft_count == 2005  # with 12,969 nodes forces are 1.2 % lower
     forces = []
     for depth in depths_mm:

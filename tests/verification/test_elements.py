@@ -13,7 +13,7 @@ from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressSetup, parse_indenter
 from taccel_lab.scene import Element, KinematicBody, Material, MaterialModel, Scene, SoftBody
 from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers.step_report import EnvStatus
@@ -153,7 +153,9 @@ def layer_press(element: Element, layers: int, poisson_ratio: float) -> tuple[in
     focus = FocusOptions((0.0, 0.0), 3.5, 1.4 / layers, 2 * layers, rings, layers, layer_ratio=1.15)
     physics = replace(PHYSICS[Accuracy.DEFAULT], element=element)
     gel, ball = Material(1.5e5, poisson_ratio), parse_indenter("sphere:4.0")
-    env = PressEnv(focused_gel_mesh(pad, focus), gel, ball, np.zeros((1, 2)), physics=physics)
+    env = PressEnv(
+        PressSetup(focused_gel_mesh(pad, focus), gel, ball, physics=physics), np.zeros((1, 2))
+    )
     forces = []
     for depth in (0.2, 0.6, 1.0):
         env.move_to(depth)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.model.kinematics import interpolate_poses
-from taccel_lab.presses import Indenter, PressEnv
+from taccel_lab.presses import Indenter, PressEnv, PressSetup
 from taccel_lab.presses.mesh import PressMeshOptions, press_mesh
 from taccel_lab.scene import (
     Ball,
@@ -207,7 +207,7 @@ def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: fl
     radius_mm = (depth_mm * RADIUS_M * 1e3) ** 0.5
     mesh = press_mesh("gelsight", {}, AT_MM, radius_mm, PressMeshOptions(size, core=4, rings=8))
     gel, ball, config = Material(1.5e5, 0.46), Indenter("ball", shape), SolverConfig(dhat_m=dhat_m)
-    env = PressEnv(mesh, gel, ball, np.array([AT_MM]), config=config)
+    env = PressEnv(PressSetup(mesh, gel, ball), np.array([AT_MM]), config=config)
     env.move_to(depth_mm)
     return float(env.wrench[0, 2])
 

@@ -25,7 +25,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
-from taccel_lab.presses import Indenter, PressEnv, layered_material, normal_frame, parse_indenter
+from taccel_lab.presses import (
+    Indenter,
+    PressEnv,
+    PressSetup,
+    layered_material,
+    normal_frame,
+    parse_indenter,
+)
 from taccel_lab.presses.mesh import pad_press_mesh
 from taccel_lab.presses.outcome import contact_radii_m
 from taccel_lab.scene import Ball, Material
@@ -79,15 +86,17 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     indenter = parse_indenter(first.indenter)
     frames = np.stack([job.gel_from_press for job in jobs])
     env = PressEnv(
-        first.mesh,
-        layered_material(materials, first.mesh),
-        indenter,
+        PressSetup(
+            first.mesh,
+            layered_material(materials, first.mesh),
+            indenter,
+            friction_coefficient=first.friction,
+            physics=first.press.physics,
+            device=device,
+        ),
         np.zeros((len(jobs), 2)),
-        friction_coefficient=first.friction,
         rest_positions_m=np.stack([job.mesh.nodes_m for job in jobs]),
         gel_from_press=frames,
-        physics=first.press.physics,
-        device=device,
     )
     press = first.press
     thickness_mm = env.thickness_m * 1e3

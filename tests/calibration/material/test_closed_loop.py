@@ -42,10 +42,9 @@ def pressed_n(
         sensor.family, sensor.parameters, (0.0, 0.0), tool.contact(depth_mm), how.mesh
     )
     material, path = presses.profile_material(profile.material, mesh), presses.PressPath(depth_mm)
-    outcome = presses.simulate_press(
-        mesh, material, tool, (0.0, 0.0), path, profile.grid(),
-        friction_coefficient=profile.material.friction_coefficient, physics=how,
-    )  # fmt: skip
+    friction = profile.material.friction_coefficient
+    setup = presses.PressSetup(mesh, material, tool, friction, how)
+    outcome = presses.simulate_press(setup, (0.0, 0.0), path, presses.SeenFrom(profile.grid()))
     return float(outcome.steps[-1].wrench[2])
 
 

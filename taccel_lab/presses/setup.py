@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A press before its way: the gel on its mesh, the tool, and the physics between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
+
+from taccel_lab.geometry import TetMesh
+from taccel_lab.presses.indenter import Indenter
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.presses.resolution import AS_IT_IS, Resolution
+from taccel_lab.presses.sweep import path_contact
+from taccel_lab.scene import Material, MaterialField
+
+if TYPE_CHECKING:
+    from taccel_lab.presses.mesh import Pad
+    from taccel_lab.presses.path import PressPath
+
+MaterialOf = Callable[[TetMesh], Material | MaterialField]
+"""Material of a gel on one of its meshes."""
+
+
+@dataclass(frozen=True)
+class PressSetup:
+    """A gel, a tool, and the physics of one pressed into the other."""
+
+    mesh: TetMesh
+    """Gel pad in the gel frame."""
+    material: Material | MaterialField
+    """Of the gel, uniform or by tet."""
+    indenter: Indenter
+    """Rigid body that is pressed."""
+    friction_coefficient: float = 0.0
+    """Between indenter and gel."""
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
+    """Element, contact range and tolerance. Its ``mesh`` says how ``mesh`` was made, and decides
+    nothing more."""
+    device: str = "cpu"
+    """Warp device."""
+
+    @classmethod
+    def on_pad(
+        cls,
+        pad: Pad,
+        material_of: MaterialOf,
+        indenter: Indenter,
+        at_mm: tuple[float, float],
+        path: PressPath,
+        *,
+        poisson_ratio: float,
+        friction_coefficient: float = 0.0,
+        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+        resolution: Resolution = AS_IT_IS,
+        device: str = "cpu",
+    ) -> Self:
+        """The press of a pad along a path, on the mesh that ``press`` makes for it.
+
+        Args:
+            pad: Shape of the gel.
+            material_of: Its material.
+            indenter: Tool.
+            at_mm: Gel xy of its axis.
+            path: Its way.
+            poisson_ratio: Of the gel's face.
+            friction_coefficient: Between indenter and gel.
+            physics: Of the press, see ``PressPhysics.of_press``.
+            resolution: How much finer mesh and contact range are.
+            device: Warp device.
+
+        Raises:
+            InputError: A place where the pad cannot be meshed.
+        """
+        # Loads CAD, which a run on meshes that are there does without.
+        from taccel_lab.presses.mesh import refined_press_mesh
+
+        contact, sweep = path_contact(
+            indenter, path, friction_coefficient, pad.thickness_mm, poisson_ratio
+        )
+        finer = resolution.mesh
+        mesh = refined_press_mesh(pad, at_mm, contact, physics.mesh, finer, sweep)
+        physics = replace(physics, dhat_m=resolution.dhat * physics.dhat_m)
+        return cls(mesh, material_of(mesh), indenter, friction_coefficient, physics, device)
