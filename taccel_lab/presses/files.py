@@ -49,10 +49,10 @@ class PressImages:
     """Tactile images of a press as a camera shows it."""
 
     rgb: np.ndarray | None
-    """At its end, levels; None where the profile has no colours."""
+    """Image of its end, levels; None where the profile has no colours."""
     frames: Sequence[np.ndarray] | None
-    """At rest and after each step that was kept, levels; None where the optical model predicts
-    them."""
+    """Images at rest and after each step that was kept, levels; None where the optical model
+    predicts them."""
     predicted: Callable[[], np.ndarray | None]
     """Returns, without colours, the picture that the optical model predicts, uint8, [height_px,
     width_px, 3], if the sensor has one and it is wanted."""

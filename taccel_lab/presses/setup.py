@@ -29,11 +29,11 @@ class PressSetup:
     mesh: TetMesh
     """Gel pad in the gel frame."""
     material: Material | MaterialField
-    """Of the gel, uniform or by tet."""
+    """Material of the gel, uniform or by tet."""
     indenter: Indenter
     """Rigid body that is pressed."""
     friction_coefficient: float = 0.0
-    """Between indenter and gel."""
+    """Coefficient between indenter and gel."""
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
     """Element, contact range and tolerance. Its ``mesh`` says how ``mesh`` was made, and decides
     nothing more."""
@@ -55,14 +55,14 @@ class PressSetup:
         resolution: Resolution = AS_IT_IS,
         device: str = "cpu",
     ) -> Self:
-        """The press of a pad along a path, on the mesh that ``press`` makes for it.
+        """Return the press of a pad along a path, meshed as by ``press``.
 
         Args:
             pad: Shape of the gel.
-            material_of: Its material.
+            material_of: Gives the material on a mesh.
             indenter: Tool.
             at_mm: Gel xy of its axis.
-            path: Its way.
+            path: Way of the tool.
             poisson_ratio: Of the gel's face.
             friction_coefficient: Between indenter and gel.
             physics: Of the press, see ``PressPhysics.of_press``.
