@@ -13,10 +13,8 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, parse_indenter
-from taccel_lab.presses.mesh import refined_press_mesh
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressSetup, parse_indenter
 from taccel_lab.presses.numerical_error import measured_press
-from taccel_lab.presses.sweep import press_sweep
 from taccel_lab.scene import Ball, Material, TriangleMesh
 from taccel_lab.sensors.registry import sensor_family
 from tests.presses.formula_presses import DEFAULT, TRUE_N, outcome, stated
@@ -137,19 +135,19 @@ def test_a_ball_to_and_fro_follows_a_finer_mesh():
     depth_mm, friction, ratio = known["depth_mm"], known["friction"], known["poisson_ratio"]
     physics = PHYSICS[Accuracy.DEFAULT].of_press(depth_mm, friction, ratio)
     size = {"thickness_mm": known["thickness_mm"], "length_x_mm": 30.0, "length_y_mm": 30.0}
-    pad, tool = sensor_family(SENSOR).parameters(size).pad(), parse_indenter(BALL)
+    pad = sensor_family(SENSOR).parameters(size).pad()
     path = PressPath(depth_mm, (max(known["shift_mm"]), 0.0)).bounded((), friction)
-    contact = tool.contact(depth_mm)
-    sweep = press_sweep(path, contact, friction, known["thickness_mm"], ratio)
-    mesh = refined_press_mesh(pad, (0.0, 0.0), contact, physics.mesh, sweep=sweep)
-    env = PressEnv(
-        mesh,
-        Material(0.15e6, ratio),
-        tool,
-        np.zeros((1, 2)),
+    setup = PressSetup.on_pad(
+        pad,
+        lambda _: Material(0.15e6, ratio),
+        parse_indenter(BALL),
+        (0.0, 0.0),
+        path,
+        poisson_ratio=ratio,
         friction_coefficient=friction,
         physics=physics,
     )
+    env = PressEnv(setup, np.zeros((1, 2)))
     for depth, shear, _ in path.way_there():
         if shear == (0.0, 0.0):
             env.move_to(depth, shear)
