@@ -143,7 +143,8 @@ def test_only_what_failed_is_halved():
     """The deep press of two, where it may take fewer iterations than it needs in one piece."""
     at, depths = np.zeros((2, 2)), np.array([0.05, 0.8])
     # Of a ball a search begins where it nearly ends (``ahead``), and no half step is easier.
-    setup = PressSetup(pad((0.0, 0.0), 1.41), GEL, parse_indenter("box:2x2"))
+    exact, box = replace(LINEAR, relative_tolerance=1e-6), parse_indenter("box:2x2")
+    setup = PressSetup(pad((0.0, 0.0), 1.41), GEL, box, physics=exact)
     whole = PressEnv(setup, at)
     taken = whole.move_to(depths)
     config = replace(whole.solver.config, max_newton_iterations=3 * taken.newton_iterations[1] // 4)
