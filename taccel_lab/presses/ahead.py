@@ -90,7 +90,7 @@ def _heights_over(points: np.ndarray, face: np.ndarray) -> np.ndarray:
 
 
 class WayAhead:
-    """Of a gel whose environments have one rest shape, under a ball that goes along z."""
+    """Way ahead of a gel whose environments share a rest shape, under a ball that goes along z."""
 
     def __init__(
         self,

@@ -169,11 +169,12 @@ class PressRun(PressPlan):
         count, remembers = len(path.way_there()), friction > 0 or bool(material.branches)
         if beside and isinstance(self.indenter.shape, Ball) and path.is_straight_down:
             # Beside a ball the force says nothing (``measured_press``) but what steps add, which
-            # needs few of them: of 1 and 2 it differs from that of 2 and 4 by a tenth.
+            # needs few of them, and is the less the more there are: that of 3 and 6 of twenty is
+            # within 0.1 % of the force of that of 10 and 20.
             if not remembers:
                 path = path.with_steps(1 / count)
             elif not material.branches:
-                path = path.with_steps(2 * math.ceil(count / 4) / count)
+                path = path.with_steps(min(count, 6) // 2 * 2 / count)
             physics = replace(physics, relative_tolerance=10 * physics.relative_tolerance)
         device = self.options.device
         outcome = simulate_press(

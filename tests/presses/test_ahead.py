@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+import taccel_lab as tl
 from taccel_lab.presses import PressEnv, PressSetup, profile_material
 from taccel_lab.presses.options import PressOptions
 from taccel_lab.presses.run import PressRun
@@ -81,3 +82,14 @@ def test_where_ahead_is_no_place_to_be_the_search_starts_as_ever() -> None:
     lost.solver.step = lambda *args, **kwargs: step(*args, **{**kwargs, "ahead": inside_out})  # type: ignore[method-assign]
     again = pressed(lost)
     assert again[:2] == there[:2] and usual[0] == pytest.approx(again[0], rel=1e-4)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("friction", "steps"), [(0.0, 1), (0.3, 6)])
+def test_the_press_beside_a_ball_takes_few_steps(friction: float, steps: int) -> None:
+    found = tl.press("gelsight_mini", "sphere:4", depth_mm=0.4, step_mm=0.05, friction=friction)
+    assert found.below is not None and len(found.below.steps) == steps
+    assert len(found.outcome.steps) == 8
+    # Half of what four steps add, by 2 and 4 of them.
+    assert found.error is not None
+    assert found.error.steps_share == pytest.approx(0.0015 if friction else 0.0, abs=0.0007)
