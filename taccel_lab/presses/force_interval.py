@@ -8,27 +8,38 @@ are put together by the squares of their logarithms.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.profile.assumed import modulus_interval_pa, thickness_interval_mm
+from taccel_lab.profile.assumed import modulus_interval_pa, poisson_prior, thickness_interval_mm
 from taccel_lab.profile.measured_range import measured_range, poisson_interval
 from taccel_lab.scene import Ball
 
 if TYPE_CHECKING:
+    from taccel_lab.bodies.material import MaxwellBranch
     from taccel_lab.presses.indenter import Indenter
     from taccel_lab.presses.outcome import PressOutcome
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.profile.schema import BranchEntry
+
+    Branch = MaxwellBranch | BranchEntry
 
 FRICTION_SHARE = 0.13
 """Share of the normal force that depends on a coefficient which nobody measured. It is the largest
 of balls, a punch and an edge in pads of 1 to 6 mm, without friction beside 0.3. A 4 mm ball 0.3 mm
 deep in 1 mm of gel has it."""
+SLOWER, FASTER = 0.1, 10.0
+"""Speeds that nobody stated, over the one that was pressed with."""
 ROUGHER = 0.5
 """What a coefficient of 1 adds over what one of 0 takes: 0.4 to 0.57 of those presses."""
+
+
+_CELLS = 400
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,7 @@ def force_causes(
     friction: float | None,
     slippery: float | None = None,
     depth_sigma_mm: float = 0.0,
+    is_timed: bool = True,
 ) -> tuple[Cause, ...]:
     """What makes the force of a press uncertain.
 
@@ -103,6 +115,7 @@ def force_causes(
         friction: The coefficient that a person chose; None for the profile's.
         slippery: Force without friction over that with it, where it was pressed.
         depth_sigma_mm: Standard deviation of a depth that was read [mm].
+        is_timed: Whether a person said how fast the tool was.
     """
     found: list[Cause] = []
     if math.isfinite(outcome.force_error_n) and outcome.force_n:
@@ -119,12 +132,16 @@ def force_causes(
     force = _Layer(indenter, outcome)
     rest = force.at(mm, nu)
     found.append(Cause("thickness", force.at(thick, nu) / rest, force.at(thin, nu) / rest))
-    if (ends := poisson_interval(profile)) is not None:
+    if (ends := poisson_interval(profile) or poisson_prior(material)) is not None:
         found.append(Cause("Poisson's ratio", *sorted(force.at(mm, end) / rest for end in ends)))
     if friction is None:
         less = FRICTION_SHARE if slippery is None else max(1.0 - slippery, 0.0)
         down, up = _friction_parts(profile)
         found.append(Cause("friction", 1.0 - down * less, 1.0 + up * ROUGHER * less))
+    if material.branches and not is_timed and not outcome.path.back:
+        factor = partial(relaxing_factor, material.branches, outcome)
+        ends = (factor(faster=times) / factor() for times in (SLOWER, FASTER))
+        found.append(Cause("speed", *ends))
     if depth_sigma_mm > 0:
         power = force_power(outcome)
         off = 2 * depth_sigma_mm / outcome.path.depth_mm
@@ -155,6 +172,25 @@ def force_power(outcome: PressOutcome) -> float:
         return 1.5
     (d0, f0), (d1, f1) = down[-2:]
     return max(math.log(f1 / f0) / math.log(d1 / d0), 0.5)
+
+
+def relaxing_factor(
+    branches: Sequence[Branch], outcome: PressOutcome, faster: float = 1.0
+) -> float:
+    """Force of a gel that relaxes over that of the relaxed gel, ``faster`` times as fast.
+
+    As the force grows by a power p of the depth, and the depth evenly, a branch adds g p int_0^1
+    s^(p - 1) exp(-(T (1 - s) + hold) / tau) ds after a time T down [the hereditary integral: Lee
+    and Radok, Journal of Applied Mechanics 27 (1960)].
+    """
+    path = outcome.path
+    down_s, power = path.depth_mm / (path.speed_mm_s * faster), force_power(outcome)
+    # Even in s^p, by the middles of cells.
+    share = ((np.arange(_CELLS) + 0.5) / _CELLS) ** (1.0 / power)
+    after_s = down_s * (1.0 - share) + path.hold_s
+    return 1.0 + sum(
+        each.relative_modulus * float(np.exp(-after_s / each.time_s).mean()) for each in branches
+    )
 
 
 class _Layer:

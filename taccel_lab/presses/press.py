@@ -105,6 +105,7 @@ class Press(Summary):
             plan.options.friction,
             self.slippery,
             self._photo_error_mm,
+            plan.options.speed_mm_s is not None,
         )
         error_n = self.force_error_n
         return ForceInterval.of(self.force_n, causes, error_n if math.isfinite(error_n) else 0.0)

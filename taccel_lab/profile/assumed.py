@@ -23,6 +23,9 @@ SCALE_SHARE: Mapping[str, float] = {"stated": 0.02, "measured": 0.02, "calibrate
 """Share of a scale of this kind, each way."""
 OTHER_SCALE_SHARE = 0.05
 """Share of a published or assumed one."""
+POISSON_RATIOS = (0.46, 0.4999)
+"""Ratios of silicone gels: one that was tested has 0.485, one that was fitted 0.497, and their bulk
+modulus of a gigapascal says 0.4999; simulations that keep away from locking take less."""
 
 
 def modulus_interval_pa(material: MaterialBlock) -> tuple[float, float]:
@@ -43,6 +46,16 @@ def thickness_interval_mm(gel: GelBlock) -> tuple[float, float]:
     mm = gel.thickness_mm
     known = _stated(gel.provenance, "thickness_mm", mm)
     return known or (mm * (1 - THICKNESS_SHARE), mm * (1 + THICKNESS_SHARE))
+
+
+def poisson_prior(material: MaterialBlock) -> tuple[float, float] | None:
+    """95 % interval of a Poisson's ratio that nobody measured; None of a calibration, whose modulus
+    was fitted with it."""
+    if material.provenance.kind == "calibrated":
+        return None
+    low, high = POISSON_RATIOS
+    ratio = material.poisson_ratio
+    return min(low, ratio), max(high, ratio)
 
 
 def scale_sigma(camera: CameraBlock) -> float:

@@ -13,17 +13,32 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.errors import InputError
-from taccel_lab.presses import PressOutcome, parse_indenter
+from taccel_lab.presses import (
+    PressOutcome,
+    PressSetup,
+    SeenFrom,
+    parse_indenter,
+    simulate_press,
+)
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.force_interval import (
+    FASTER,
     FRICTION_SHARE,
+    SLOWER,
     Cause,
     ForceInterval,
     force_causes,
     force_power,
+    relaxing_factor,
 )
+from taccel_lab.presses.path import SPEED_MM_S
 from taccel_lab.profile import PerturbationBlock, Provenance
+from taccel_lab.profile.assumed import POISSON_RATIOS
 from taccel_lab.profile.measured_range import measured_ranges
+from taccel_lab.scene import MaxwellBranch
 from tests.presses.formula_presses import Presses, Resolution, outcome
+from tests.support.blocks import block_mesh
+from tests.support.coarse_pads import GEL, LINEAR
 
 BALL = parse_indenter("sphere:4")
 
@@ -37,7 +52,7 @@ def pressed(force_n: float = 2.0) -> PressOutcome:
     return replace(outcome(Resolution.of(0), force_n), force_error_n=0.02 * force_n)
 
 
-def causes(pad: tl.SensorProfile, **known: float) -> dict[str, Cause]:
+def causes(pad: tl.SensorProfile, **known: Any) -> dict[str, Cause]:
     found = force_causes(pad, BALL, pressed(), friction=known.pop("friction", None), **known)
     return {each.name: each for each in found}
 
@@ -67,6 +82,59 @@ def test_what_is_left_after_a_way_back_is_told_from_nothing_by_the_error_in_newt
     assert ForceInterval.of(1.0, (), 0.1).low_n == 1.0
 
 
+def test_a_ratio_that_nobody_measured_is_one_of_silicone(pad):
+    """0.46 to 0.49 is +5.5 % of a force, and was in no interval."""
+    found = causes(pad)["Poisson's ratio"]
+    layer = [
+        layer_force_n("sphere", np.array(0.5), 4.0, pad.gel.thickness_mm, ratio)
+        for ratio in (*POISSON_RATIOS, pad.material.poisson_ratio)
+    ]
+    assert (found.low, found.high) == pytest.approx((layer[0] / layer[2], layer[1] / layer[2]))
+    assert 1.0 - found.low < 0.02 and 1.05 < found.high < 1.25
+    fitted = of_measured(
+        pad,
+        kind="calibrated",
+        inputs={"a": "0" * 64},
+        residuals={"n": 1.0},
+        valid_region={"n": (0.0, 1.0)},
+    )
+    assert "Poisson's ratio" not in causes(fitted), "a modulus is fitted with it"
+
+
+RELAXING = (MaxwellBranch(0.4, 0.5), MaxwellBranch(0.3, 5.0))
+
+
+@pytest.mark.thorough
+def test_a_press_of_unknown_speed_may_be_ten_times_as_fast_or_slow(pad):
+    """Forces of a gel that relaxes, simulated at three speeds, and after a hold."""
+    mesh, gel = block_mesh((6, 6, 3), (8e-3, 8e-3, 3e-3)), replace(GEL, branches=RELAXING)
+
+    def simulated(**path: float) -> PressOutcome:
+        setup = PressSetup(mesh, gel, parse_indenter("sphere:3"), physics=LINEAR)
+        seen = SeenFrom(tl.PixelGrid(16, 16, 0.4, 0.4))
+        way = tl.PressPath(0.5, **path).bounded(RELAXING, 0.0)
+        return simulate_press(setup, (0.0, 0.0), way, seen)
+
+    usual = simulated()
+    rest = relaxing_factor(RELAXING, usual)
+    for faster in (SLOWER, FASTER):
+        other = simulated(speed_mm_s=SPEED_MM_S * faster)
+        told = relaxing_factor(RELAXING, usual, faster) / rest
+        assert told == pytest.approx(other.force_n / usual.force_n, rel=0.015)
+    held = simulated(hold_s=2.0)
+    told = relaxing_factor(RELAXING, held) / rest
+    assert told == pytest.approx(held.force_n / usual.force_n, rel=0.015)
+
+    entries = [{"relative_modulus": b.relative_modulus, "time_s": b.time_s} for b in RELAXING]
+    relaxing = pad.with_block(pad.material.replace(branches=entries))
+    found = {each.name: each for each in force_causes(relaxing, BALL, usual, None, is_timed=False)}
+    assert found["speed"].low == pytest.approx(relaxing_factor(RELAXING, usual, SLOWER) / rest)
+    assert found["speed"].high == pytest.approx(relaxing_factor(RELAXING, usual, FASTER) / rest)
+    assert found["speed"].low < 0.9 and found["speed"].high > 1.05
+    timed = force_causes(relaxing, BALL, usual, None)
+    assert "speed" not in {each.name for each in timed}
+
+
 def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad):
     found = causes(pad)
     assert (found["Young's modulus"].low, found["Young's modulus"].high) == (0.5, 2.0)
@@ -74,7 +142,7 @@ def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad):
     # A thicker pad is softer; Hayes' layer of 4 mm by 5 %.
     assert 0.95 < found["thickness"].low < 1.0 < found["thickness"].high < 1.06
     assert found["friction"].low == 1 - FRICTION_SHARE
-    assert "depth" not in found and "Poisson's ratio" not in found
+    assert "depth" not in found and "speed" not in found
 
 
 def test_what_is_known_makes_the_interval_smaller(pad):

@@ -39,7 +39,7 @@ def grey_profile(**changes: dict[str, Any]) -> SensorProfile:
     made = _pad()
     known = {
         "gel": {"spread": {"thickness_mm": 1e-4}},
-        "material": {"spread": {"young_modulus_pa": 10.0}},
+        "material": {"spread": {"young_modulus_pa": 10.0, "poisson_ratio": 1e-7}},
         "camera": {"spread": {"mm_per_px_x": 1e-6, "mm_per_px_y": 1e-6}},
     }
     said = {name: {**known[name], **changes.get(name, {})} for name in known}
