@@ -105,6 +105,6 @@ press
 press.plot()
 
 # %%
-assert press.outcome.smallest_volume_ratio > 0
+assert press.smallest_volume_ratio > 0
 assert press.image.shape == captures.background.shape
 assert score.psnr_db > bare["crop_psnr_db"] + 6

@@ -202,12 +202,12 @@ place_mm, depth_mm = places_mm[ENV].numpy(), float(depth[ENV])
 truth = sensor.press(f"sphere:{1e3 * RADIUS_M:g}", depth_mm=depth_mm, at_mm=tuple(place_mm))
 true_n, error_n = truth.force_n, truth.force_error_n
 
-fine_mesh = truth.outcome.mesh
+fine_mesh = truth.mesh
 on_fine = tl.MarkerLayout.from_points(fine_mesh, dots_mm)
 with torch.no_grad():
     coarse_dots = tl.marker_places(pressed(depth)[0][ENV], layout)
 coarse_way = coarse_dots - tl.marker_places(torch.as_tensor(mesh.nodes_m), layout)
-fine_way = tl.marker_places(torch.as_tensor(truth.outcome.positions_m), on_fine)
+fine_way = tl.marker_places(torch.as_tensor(truth.positions_m), on_fine)
 fine_way = fine_way - tl.marker_places(torch.as_tensor(fine_mesh.nodes_m), on_fine)
 too_stiff = WISHED_N / true_n - 1
 off = ((coarse_way - fine_way)[:, :2].norm(dim=1).square().mean().sqrt() * 1e6).item()

@@ -104,7 +104,7 @@ class PressCommand(PressOptions, _Files):
                 missing = (*pressed.missing, "pictures", "the page")
                 failure, pressed = error, replace(pressed, failure=why, missing=missing)
                 pressed.write_into(folder, pictures=False)
-        steps = pressed.outcome.steps
+        steps = pressed.steps
         kept.append(f"{self.out} has {len(steps)} finished steps, to {steps[-1].depth_mm:.4g} mm")
         if pressed.missing:
             kept[-1] += f"; missing: {', '.join(pressed.missing)}"

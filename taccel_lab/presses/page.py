@@ -163,16 +163,16 @@ def _jpeg(levels: np.ndarray) -> Any:
 
 def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     """Figures of a press: what, value, unit."""
-    outcome, figures = press.outcome, press.figures()
+    figures = press.figures()
     force, moment, image = press.wrench[:3], 1e3 * press.wrench[3:], press.image_error
-    error_n, heights = outcome.force_error_n, press.height_error
+    error_n, heights = press.force_error_n, press.height_error
     ends = press.force_interval_n
-    yield from _path_rows(outcome.path, figures)
+    yield from _path_rows(press.path, figures)
     yield "normal force, numerical error", with_error(force[2], error_n), "N"
     yield "its 95 % interval, all causes", " to ".join(f"{end:.3g}" for end in ends), "N"
-    errors = (outcome.shear_error_n, outcome.shear_error_n, error_n)
+    errors = (press.shear_error_n, press.shear_error_n, error_n)
     yield "force of the gel on the indenter", _each(force, errors), "N"
-    errors = (1e3 * error for error in outcome.moment_error_nm)
+    errors = (1e3 * error for error in press.moment_error_nm)
     yield "moment about the gel's origin", _each(moment, errors), "N mm"
     yield "error of heights: numerical, total", _both(heights, 1e3), "um rms"
     yield "contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"
@@ -180,7 +180,7 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     yield "Newton iterations", f"{figures['newton_iterations']}", ""
     yield "smallest gap", f"{figures['min_distance_m'] * 1e6:.2f}", "um"
     yield "smallest volume ratio of a tet", f"{figures['smallest_volume_ratio']:.3f}", ""
-    yield "nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""
+    yield "nodes, tets", f"{press.mesh.node_count}, {press.mesh.tet_count}", ""
     if image is not None:
         yield "error of the image: numerical, total", _both(image), "levels rms"
     if (like := press.like) is not None:
@@ -190,8 +190,8 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
         yield "depth in the photo", with_error(like["depth_mm"], like["depth_error_mm"]), "mm"
         yield "photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB"
         yield "photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB"
-    if outcome.fine_force_n is not None:
-        yield "force of the contact with the texture", f"{outcome.fine_force_n:.4f}", "N"
+    if press.fine_force_n is not None:
+        yield "force of the contact with the texture", f"{press.fine_force_n:.4f}", "N"
 
 
 def _path_rows(path: PressPath, figures: dict[str, Any]) -> Iterator[tuple[str, str, str]]:

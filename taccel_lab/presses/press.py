@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -25,18 +25,17 @@ from taccel_lab.presses.files import (
 )
 from taccel_lab.presses.force_interval import ForceInterval, force_causes, force_power
 from taccel_lab.presses.numerical_error import SignalError, height_error_mm, image_error_levels
+from taccel_lab.presses.outcome import PressOutcome
 from taccel_lab.presses.photo import LIKE
 from taccel_lab.presses.states import PressMarkers
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.report.style import save_figure
 from taccel_lab.sensors.starters import is_starter
-from taccel_lab.summary import Summary
 from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.presses import PressOutcome
     from taccel_lab.presses.numerical_error import NumericalError
     from taccel_lab.presses.plan import PressPlan
 
@@ -50,20 +49,18 @@ def _arrays_alone(function: Callable[..., Any], *arguments: Any) -> None:
         function(*arguments)
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Press(Summary):
-    """A press and everything that the sensor reads at its end."""
+@dataclass(frozen=True, repr=False, eq=False, kw_only=True)
+class Press(PressOutcome):
+    """A press of one sensor and everything that it reads at its end."""
 
     plan: PressPlan
-    """What was pressed into what, and how."""
-    outcome: PressOutcome
-    """The steps, and the state at their end in metres and newtons."""
+    """Plan of the press: sensor, tool, options."""
     seconds: float
     """Time of the whole."""
     failure: str | None = None
     """Why the press ended before its path did."""
     error: NumericalError | None = None
-    """What the numerical error rests on; None of a stored mesh and of a press that failed."""
+    """Basis of the numerical error; None of a stored mesh and of a press that failed."""
     below: PressOutcome | None = None
     """The coarser press that the error was measured by."""
     write_page: Callable[[Press, Path], None] | None = None
@@ -73,26 +70,11 @@ class Press(Summary):
     slippery: float | None = None
     """Force without friction over that with it, where the coefficient was in doubt and pressed."""
 
-    @property
-    def force_n(self) -> float:
-        """Normal force of the gel on the indenter [N]."""
-        return self.outcome.force_n
-
-    @property
-    def force_error_n(self) -> float:
-        """Numerical error of the force [N]: mesh, contact range, steps in path and time; NaN of a
-        stored mesh. What the gel leaves open is in ``force_interval_n``."""
-        return self.outcome.force_error_n
-
-    @property
-    def shear_error_n(self) -> float:
-        """Numerical error of the sideways force [N]; NaN of a stored mesh."""
-        return self.outcome.shear_error_n
-
-    @property
-    def moment_error_nm(self) -> tuple[float, float, float]:
-        """Numerical errors of the moments about the gel's origin [N m]; NaN of a stored mesh."""
-        return self.outcome.moment_error_nm
+    @classmethod
+    def of(cls, outcome: PressOutcome, plan: PressPlan, seconds: float, **known: Any) -> Self:
+        """Return the press of a plan that had this outcome; ``known`` are further fields."""
+        solved = {each.name: getattr(outcome, each.name) for each in fields(PressOutcome)}
+        return cls(**solved, plan=plan, seconds=seconds, **known)
 
     @cached_property
     def force_interval(self) -> ForceInterval:
@@ -101,7 +83,7 @@ class Press(Summary):
         causes = force_causes(
             plan.profile,
             plan.indenter,
-            self.outcome,
+            self,
             plan.options.friction,
             self.slippery,
             self._photo_error_mm,
@@ -116,19 +98,9 @@ class Press(Summary):
         return self.force_interval.low_n, self.force_interval.high_n
 
     @property
-    def wrench(self) -> np.ndarray:
-        """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
-        return self.outcome.wrench
-
-    @property
-    def height_m(self) -> np.ndarray:
-        """z of the contact face [m], gel frame, NaN outside the pad, [height_px, width_px]."""
-        return self.outcome.height_m
-
-    @property
     def depth_m(self) -> np.ndarray:
         """How far the face lies below where it rests [m], [height_px, width_px]."""
-        return self.outcome.rest_height_m - self.outcome.height_m
+        return self.rest_height_m - self.height_m
 
     @property
     def depth_mm(self) -> float:
@@ -145,27 +117,22 @@ class Press(Summary):
     @property
     def center_mm(self) -> tuple[float, float] | None:
         """Centre of pressure in the gel frame [mm]; None without contact."""
-        force = self.outcome.contact_forces_n[:, 2]
+        force = self.contact_forces_n[:, 2]
         if not force.any():
             return None
-        x, y = 1e3 * (force @ self.outcome.positions_m[:, :2]) / force.sum()
+        x, y = 1e3 * (force @ self.positions_m[:, :2]) / force.sum()
         return float(x), float(y)
-
-    @property
-    def travel_mm(self) -> float:
-        """Largest travel of the indenter past first touch [mm], also of a press to a force."""
-        return self.outcome.travel_mm
 
     @property
     def area_mm2(self) -> float:
         """Area in contact [mm2]."""
-        return math.pi * (1e3 * self.outcome.contact_radius_m) ** 2
+        return math.pi * (1e3 * self.contact_radius_m) ** 2
 
     @property
     def points_m(self) -> np.ndarray:
         """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]; NaN outside the
         pad."""
-        return points_of_heights(self.outcome.height_m, self.plan.profile.grid())
+        return points_of_heights(self.height_m, self.plan.profile.grid())
 
     @property
     def points_mm(self) -> np.ndarray:
@@ -175,7 +142,7 @@ class Press(Summary):
     @cached_property
     def height_error(self) -> SignalError:
         """Error of the heights, root mean square [mm]; NaN of a stored mesh."""
-        return height_error_mm(self.outcome, self._signal_sigma_mm, self._place_sigma_px)
+        return height_error_mm(self, self._signal_sigma_mm, self._place_sigma_px)
 
     @cached_property
     def image_error(self) -> SignalError | None:
@@ -188,7 +155,7 @@ class Press(Summary):
         beside = painted_images(profile, replace(self.below, states=None))[0]
         assert beside is not None
         return image_error_levels(
-            self.outcome,
+            self,
             rgb,
             beside,
             profile.background_rgb,
@@ -210,8 +177,8 @@ class Press(Summary):
             return self._photo_error_mm
         gel = [cause for cause in self.force_interval.causes if cause.name != "numerical"]
         ends = ForceInterval.of(1.0, tuple(gel))
-        share = math.log(ends.high_n / ends.low_n) / 4 / force_power(self.outcome)
-        return share * self.outcome.path.depth_mm
+        share = math.log(ends.high_n / ends.low_n) / 4 / force_power(self)
+        return share * self.path.depth_mm
 
     @property
     def _place_sigma_px(self) -> tuple[float, float]:
@@ -219,23 +186,13 @@ class Press(Summary):
         x_mm, y_mm = (0.0, 0.0) if photo is None else photo.at_error_mm or (0.0, 0.0)
         return x_mm / camera.mm_per_px_x, y_mm / camera.mm_per_px_y
 
-    @property
-    def normals(self) -> np.ndarray:
-        """Outward unit normals, [height_px, width_px, 3]."""
-        return self.outcome.normals
-
-    @property
-    def contact_mask(self) -> np.ndarray:
-        """Pixels in contact, bool, [height_px, width_px]."""
-        return self.outcome.contact_mask
-
     @cached_property
     def image(self) -> np.ndarray | None:
         """Tactile image, RGB, uint8, [height_px, width_px, 3], in the profile's colours. Before a
         calibration the optical design predicts it, in another size; None without either."""
         if self._painted[0] is not None:
             return eight_bit(self._painted[0])
-        return predicted_image(self.plan.profile, self.outcome)
+        return predicted_image(self.plan.profile, self)
 
     def _images(self, pictures: bool) -> PressImages:
         """Images to be written, the predicted one only with ``pictures``. ``image`` is it: the
@@ -244,16 +201,17 @@ class Press(Summary):
 
     def seen_by(self, name: str) -> Press:
         """Return the press as one of the sensor's cameras shows it."""
-        profile = self.plan.profile.seen_by(name)
-        outcome = self.outcome.seen_by(name) if name in self.outcome.views else self.outcome
-        # The press beside it kept the pixels of the first camera alone.
-        return replace(self, plan=replace(self.plan, profile=profile), outcome=outcome, below=None)
+        plan = replace(self.plan, profile=self.plan.profile.seen_by(name))
+        pixels = vars(self.views[name]) if name in self.views else {}
+        # Steps and the press beside it kept the pixels of the first camera alone.
+        apart = {"views": {}, "states": None} if pixels else {}
+        return replace(self, **pixels, **apart, plan=plan, below=None)
 
     @cached_property
     def markers(self) -> PressMarkers | None:
         """Dots of the gel at rest and now, [mm] and [px]; None for a gel without."""
-        places = self.outcome.positions_m[None]
-        return PressMarkers.of(self.plan.profile, self.outcome.mesh, places)
+        places = self.positions_m[None]
+        return PressMarkers.of(self.plan.profile, self.mesh, places)
 
     @cached_property
     def like(self) -> dict[str, Any] | None:
@@ -276,7 +234,7 @@ class Press(Summary):
     def figures(self) -> dict[str, Any]:
         """Return every number of the press, as in ``press.json``."""
         like = {} if self.like is None else {"like": self.like}
-        return {**self.outcome.figures(), **self._errors(), **like}
+        return {**super().figures(), **self._errors(), **like}
 
     def _errors(self) -> dict[str, Any]:
         """Both errors of force, heights and image, and what they rest on."""
@@ -333,14 +291,14 @@ class Press(Summary):
             **self._errors(),
         }
         # Apart, so that equal presses have equal files.
-        step_s = [step.report.seconds for step in self.outcome.steps]
+        step_s = [step.report.seconds for step in self.steps]
         write_json(folder / TIMES, {"seconds": self.seconds, "step_seconds": step_s})
-        write_press(folder, self.outcome, plan.profile, self._images(pictures), about, call)
-        for name in self.outcome.views:
+        write_press(folder, self, plan.profile, self._images(pictures), about, call)
+        for name in self.views:
             seen = self.seen_by(name)
             inner = folder / VIEWS / name
             inner.mkdir(parents=True)
-            write_seen(inner, seen.outcome, seen.plan.profile, seen._images(pictures), call)
+            write_seen(inner, seen, seen.plan.profile, seen._images(pictures), call)
         if pictures and plan.photo is not None and self.like is not None:
             assert self.simulated_photo is not None
             figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])
@@ -357,15 +315,15 @@ class Press(Summary):
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """Summarise the press: tool, depth, force and contact."""
-        options, last = self.plan.options, self.outcome.last
-        height, width = self.outcome.height_m.shape
+        options, last = self.plan.options, self.last
+        height, width = self.height_m.shape
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
             ("95 % interval", "{:.3g} to {:.3g} N, of all causes".format(*self.force_interval_n)),
             ("depth", f"{with_error(self.depth_mm, self.depth_error_mm)} mm"),
             ("area", f"{self.area_mm2:.3g} mm2 in contact"),
             ("image", f"{width} x {height} px, {self.colours}"),
-            ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
+            ("residual", f"{last.residual_n[0]:.1e} N after {len(self.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
         ]
         sideways = math.hypot(*self.wrench[:2])
@@ -391,4 +349,4 @@ class Press(Summary):
 
     @cached_property
     def _painted(self) -> tuple[np.ndarray | None, list[np.ndarray] | None]:
-        return painted_images(self.plan.profile, self.outcome)
+        return painted_images(self.plan.profile, self)

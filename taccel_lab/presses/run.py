@@ -88,8 +88,16 @@ class PressRun(PressPlan):
                 steps = () if outcome.stopped is None else (f"steps past {to_mm:.4g} mm",)
                 missing = (*steps, *(("the numerical error",) if error is None else ()))
             seconds = time.perf_counter() - started
-            return Press(
-                run, outcome, seconds, failure, error, below, write_press_page, missing, slippery
+            return Press.of(
+                outcome,
+                run,
+                seconds,
+                failure=failure,
+                error=error,
+                below=below,
+                write_page=write_press_page,
+                missing=missing,
+                slippery=slippery,
             )
 
         slippery: float | None = None

@@ -69,9 +69,12 @@ def element_projection(env: int, p: Progress) -> int:
     What prestress makes negative in an element of a gel that is held is small beside what its
     neighbours add: the whole matrix hardly ever is, and one that is not positive definite shows in
     the solve, or in a search that had to be cut. An exact element takes two thirds of the time of
-    a projected one. Gels that turn and touch each other, 2 of 12 such steps, then need halves.
+    a projected one. Gels that turn and touch each other, 2 of 12 such steps, then need halves, and
+    an edge that is dragged with friction takes 52 iterations in place of 33.
     """
-    if p.rules.is_held == 0 or p.curvature.projected[env] > 0 or p.search.cuts[env] > 0:
+    if p.rules.is_held == 0 or p.rules.has_friction != 0:
+        return PSD_CLAMP
+    if p.curvature.projected[env] > 0 or p.search.cuts[env] > 0:
         return PSD_CLAMP
     return PSD_NONE
 

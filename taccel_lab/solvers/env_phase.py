@@ -48,9 +48,6 @@ _LESS_EXCESS = 0.99
 """Part of the least residual so far that counts as less."""
 _LESS_ENERGY = 1e-4
 """Fall of the energy that counts, as a part of it: on a plateau it falls by 1e-3 an iteration."""
-_LEAST_STRIDE = wp.constant(wp.float64(1e-5))
-"""Step, of a whole one, that is asked for after nine in a row that came on by less than a tenth
-each (``adapted_stride``). Gels that are held come on sooner or not at all; those in piles later."""
 _MORE_PROGRESS = 1e-3
 """Part of the prescribed motion that counts."""
 
@@ -133,12 +130,6 @@ def count_on(env: int, p: Progress):
 
 
 @wp.func
-def is_wedged(env: int, p: Progress) -> bool:
-    """Whether a gel that is held comes on by next to nothing again and again."""
-    return p.rules.is_held != 0 and p.prescribed.stride[env] < _LEAST_STRIDE
-
-
-@wp.func
 def go_on(env: int, p: Progress):
     """Stop where the iterations are used up, or lead nowhere. Not where friction is frozen anew
     first, or a line search goes on: a trial counts that."""
@@ -153,7 +144,7 @@ def go_on(env: int, p: Progress):
             p.gain.idle[env] += 1
         if p.counts.newton[env] >= p.rules.max_newton:
             stop(env, _NO_CONVERGENCE, p)
-        elif p.gain.idle[env] > STALL_AFTER or is_wedged(env, p):
+        elif p.gain.idle[env] > STALL_AFTER:
             stop(env, _STALLED, p)
         else:
             count_on(env, p)

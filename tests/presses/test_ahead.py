@@ -89,7 +89,7 @@ def test_where_ahead_is_no_place_to_be_the_search_starts_as_ever() -> None:
 def test_the_press_beside_a_ball_takes_few_steps(friction: float, steps: int) -> None:
     found = tl.press("gelsight_mini", "sphere:4", depth_mm=0.4, step_mm=0.05, friction=friction)
     assert found.below is not None and len(found.below.steps) == steps
-    assert len(found.outcome.steps) == 8
+    assert len(found.steps) == 8
     # Half of what four steps add, by 2 and 4 of them.
     assert found.error is not None
     assert found.error.steps_share == pytest.approx(0.0015 if friction else 0.0, abs=0.0007)

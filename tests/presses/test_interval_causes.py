@@ -311,7 +311,7 @@ def press(changes: dict[str, Any]) -> Press:
     options = PressOptions(indenter=BALL, friction=asked.get("friction"), **aim)
     tool = parse_indenter(BALL)
     plan = PressPlan("grey", profile, tool, options, DEFAULT, 0.5, photo)  # type: ignore[arg-type]
-    found = Press(plan, made, 0.0, below=made, slippery=asked.get("slippery", 1.0))
+    found = Press.of(made, plan, 0.0, below=made, slippery=asked.get("slippery", 1.0))
     rgb = LIGHT + MOVED_MM[..., None] * TINTS
     images = iter([(rgb, None), (rgb - asked["beside"], None)])
     with pytest.MonkeyPatch.context() as patch:

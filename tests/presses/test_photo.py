@@ -61,7 +61,7 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo, tmp_path, capsys, mo
     np.testing.assert_allclose(like["at_mm"], (2.0, -1.5), atol=0.01)
     assert like["depth_mm"] == pytest.approx(0.5, abs=0.01)
     assert press.plan.options.at_mm == like["at_mm"]
-    assert press.plan.options.depth_mm == like["depth_mm"] == press.outcome.path.depth_mm
+    assert press.plan.options.depth_mm == like["depth_mm"] == press.path.depth_mm
     assert like["psnr_db"] > like["untouched_psnr_db"] + 15
     assert like["mean_error_levels"] < 0.2 * like["untouched_error_levels"]
     assert "photo" in dict(press.summary()[1])

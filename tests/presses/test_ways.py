@@ -26,8 +26,8 @@ def test_a_way_without_friction_does_not_change_the_force():
         step_mm=2.5,
         at_mm=(-2.0, 0.5),
     )
-    forces = [step.wrench[2] for step in moved.outcome.steps if step.depth_mm == 0.3]
-    assert len(forces) == 3 and moved.outcome.steps[-1].shear_mm == (5.0, 0.0)
+    forces = [step.wrench[2] for step in moved.steps if step.depth_mm == 0.3]
+    assert len(forces) == 3 and moved.steps[-1].shear_mm == (5.0, 0.0)
     assert max(forces) < 1.02 * min(forces)
     assert abs(forces[-1] - forces[0]) < 1.5 * moved.force_error_n < 0.02 * forces[0]
 
@@ -39,7 +39,7 @@ def test_a_punch_that_slid_without_friction_stands_on_its_rows_of_nodes():
         SENSOR, "cylinder:2", depth_mm=0.1, friction=0.0, shear_mm=(0.5, 0.0), step_mm=0.25
     )
     assert moved.force_n == pytest.approx(PUNCH_N, rel=0.03)
-    first = moved.outcome.steps[0]
+    first = moved.steps[0]
     assert (first.depth_mm, first.shear_mm) == (0.1, (0.0, 0.0))
     assert PUNCH_N < first.wrench[2] < 1.1 * PUNCH_N
     said = "forces of steps before it may be a tenth too large"
@@ -88,10 +88,10 @@ def test_balls_are_within_what_they_state_of_an_axisymmetric_code(
 
 @pytest.mark.thorough
 def test_a_round_punch_is_as_wide_as_it_is():
-    """With rows of nodes 2 % outside its rim it took 4.5 % too much in a thin gel that can hardly
-    be squeezed; the truth is that of the axisymmetric code."""
+    """A thin gel that can hardly be squeezed, where it took 4.5 % too much with rows of nodes 2 %
+    outside its rim; the truth is that of the axisymmetric code."""
     sensor = tl.load_sensor(
         SENSOR, thickness_mm=2.0, length_x_mm=30.0, length_y_mm=30.0, poisson_ratio=0.49
     )
     found = tl.press(sensor, "cylinder:2", depth_mm=0.1, friction=0.0)
-    assert found.force_n == pytest.approx(0.28006, rel=0.015)
+    assert abs(found.force_n - 0.28006) < min(found.force_error_n, 0.035 * 0.28006)

@@ -149,7 +149,7 @@ def pressed(stereo: SensorProfile) -> Press:
 @pytest.mark.thorough
 def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: Press) -> None:
     """Sight lines of a dot's two pixels meet where the gel's own nodes have the dot."""
-    assert list(pressed.outcome.views) == ["camera_2"]
+    assert list(pressed.views) == ["camera_2"]
     left, right = (pressed.seen_by(name).markers for name in stereo.view_names())
     assert left is not None and right is not None
     # Dots at the border lie in one of the images only; a number for each, from where it is painted.

@@ -73,7 +73,7 @@ def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressu
     """Of all states of a press."""
     reader, grid = PressureReader(gel, gel.grid()), gel.grid()
     sigma = np.full((grid.height_px, grid.width_px), SIGMA_M)
-    states = held.outcome.states
+    states = held.states
     assert states is not None
 
     def read(rise: np.ndarray, time_s: float | None) -> ContactPressure:
@@ -83,7 +83,7 @@ def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressu
         read(np.zeros(sigma.shape), 0.0)
     return [
         read(seen.height_m - seen.rest_height_m, step.time_s if timed else None)
-        for step, seen in zip(held.outcome.steps, states.surfaces, strict=True)
+        for step, seen in zip(held.steps, states.surfaces, strict=True)
     ]
 
 
@@ -100,14 +100,14 @@ def test_an_image_with_its_time_reads_the_force_of_a_hold_alone_the_sudden_and_t
     gel: SensorProfile, held: Press
 ) -> None:
     """Of an image alone the interval is wider by what time may have done."""
-    true = np.array([step.wrench[2] for step in held.outcome.steps])
+    true = np.array([step.wrench[2] for step in held.steps])
     timed, alone = (readings(gel, held, timed=each) for each in (True, False))
     widths = [width(one, force) for one, force in zip(timed, true, strict=True)]
     assert not any("held" in text for one in timed for text in one.remarks)
     read, pressed = np.array([one.force_n for one in timed]), true > 0.3 * true.max()
     np.testing.assert_allclose(read[pressed], true[pressed], rtol=0.06)
     assert read[-1] < 0.1 * read.max(), "the dent that is left needs no force"
-    rests = len(held.outcome.path.way_there()) + 8
+    rests = len(held.path.way_there()) + 8
     for one, force, known in list(zip(alone, true, widths, strict=True))[:rests]:
         assert width(one, force) > 1.3 * known
         assert any("1.6 times the force of a long one" in text for text in one.remarks)
