@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import taccel_lab as tl
@@ -95,3 +96,31 @@ def test_a_round_punch_is_as_wide_as_it_is():
     )
     found = tl.press(sensor, "cylinder:2", depth_mm=0.1, friction=0.0)
     assert abs(found.force_n - 0.28006) < min(found.force_error_n, 0.035 * 0.28006)
+
+
+@pytest.mark.thorough
+def test_a_turned_or_mirrored_press_is_that_press_and_company_changes_no_bit():
+    """On a square pad, dragged; the errors of loads hold what the mesh makes of it."""
+    square = tl.load_sensor(SENSOR, length_x_mm=20.0, length_y_mm=20.0)
+
+    def press(x: float, y: float) -> tl.Press:
+        at, aside = (5.0 * x, 5.0 * y), (x, y)
+        return tl.press(square, BALL, depth_mm=0.3, friction=0.5, at_mm=at, shear_mm=aside)
+
+    one, turned, mirrored, again = (
+        press(0.3, 0.0),
+        press(0.0, 0.3),
+        press(-0.3, 0.0),
+        press(0.3, 0.0),
+    )
+    np.testing.assert_array_equal(again.height_m, one.height_m)
+    np.testing.assert_array_equal(again.wrench, one.wrench)
+    fx, fy, fz, mx, my, mz = one.wrench
+    for other, wrench in (
+        (turned, (-fy, fx, fz, -my, mx, mz)),
+        (mirrored, (-fx, fy, fz, mx, -my, -mz)),
+    ):
+        force, moment = np.split(np.abs(other.wrench - wrench), 2)
+        assert (force[:2] < one.shear_error_n).all() and force[2] < one.force_error_n
+        assert (moment < one.moment_error_nm).all()
+    assert one.shear_error_n < 0.03 * abs(fx)
