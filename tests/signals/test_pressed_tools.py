@@ -14,18 +14,18 @@ from taccel_lab.presses.mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.layer_contact import layer_compliance, solve_contact
-from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 
 def press(
     indenter: Indenter, depth_mm: float, grid: tl.PixelGrid, sensor: str = "flat_pad",
     at_mm: tuple[float, float] = (0.0, 0.0), friction: float = 0.0,
-    accuracy: tl.Accuracy = tl.Accuracy.FAST, **more: object,
+    accuracy: tl.Accuracy = tl.Accuracy.FAST, designed_rest: RestSurface | None = None,
 ) -> tl.PressOutcome:  # fmt: skip
     physics = PHYSICS[accuracy]
     mesh = press_mesh(sensor, {}, at_mm, indenter.contact(depth_mm), physics.mesh)
     setup = tl.PressSetup(mesh, tl.Material(1.5e5, 0.48), indenter, friction, physics)
-    return simulate_press(setup, at_mm, tl.PressPath(depth_mm), SeenFrom(grid), **more)
+    return simulate_press(setup, at_mm, tl.PressPath(depth_mm), SeenFrom(grid, designed_rest))
 
 
 def sunk_mm(press: tl.PressOutcome) -> np.ndarray:
