@@ -22,7 +22,7 @@ class ContactSweep:
 
     @property
     def drags(self) -> bool:
-        """Whether the gel sticks to the tool for a part of a way."""
+        """True where the gel sticks to the tool for a part of a way."""
         return self.slip < 1 and (any(self.shear_mm) or self.twist_deg != 0)
 
     @property

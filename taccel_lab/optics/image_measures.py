@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near two images are: peak signal-to-noise ratio, structural similarity, a contact's crop.
+"""Nearness of two images: peak signal-to-noise ratio, structural similarity, a contact's crop.
 
 SSIM is that of Wang, Bovik, Sheikh and Simoncelli (IEEE TIP 13(4), 2004): Gaussian window with
 sigma 1.5 px cut at 3.5 sigma (11x11 px), K1 = 0.01, K2 = 0.03, population moments, 255 levels,

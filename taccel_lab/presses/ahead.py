@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a gel may be once a ball has come down on it: the search for a step starts there.
+"""Places of a gel once a ball has come down on it, about: the search for a step starts there.
 
 - Until the ball touches, each column of the gel along the press is squeezed evenly by what the ball
   will take of it. That is no solution, as nothing gives way sideways, but a ball that comes 0.6 mm
@@ -130,7 +130,7 @@ class WayAhead:
 
 
 def goes_on(way_m: np.ndarray, last_m: np.ndarray, depth_m: np.ndarray) -> bool:
-    """Whether all balls go on as they did in their last step, or do not touch yet.
+    """True where all balls go on as they did in their last step, or do not touch yet.
 
     Args:
         way_m: Change of the depths in this step [m].

@@ -24,9 +24,9 @@ import numpy as np
 from taccel_lab.presses.outcome import PressOutcome
 
 FLAT = 1e-6
-"""How far the normals of a flat pad's face at rest lean, as 1 less their z."""
+"""Largest lean of the normals of a flat pad's face at rest, as 1 less their z."""
 STEPS_STATED = 1.5
-"""What is stated of steps, over what they add."""
+"""Stated error of steps, over what they add."""
 
 
 class AsideError(NamedTuple):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How finely a gel is meshed around a press; which press takes which is in ``envs.physics``."""
+"""How finely a gel is meshed around a press; each accuracy's is in ``presses.physics``."""
 
 from __future__ import annotations
 
