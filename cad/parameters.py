@@ -24,7 +24,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import shown
 from taccel_lab.files.table_file import number
-from taccel_lab.guards import require_known
+from taccel_lab.guards import parse_words, require_known
 
 _KEY = "parameter"
 _SPELLED = {
@@ -387,16 +387,3 @@ def _one_value(text: str) -> float | str:
 
 def _listed(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def parse_words(items: Sequence[str]) -> dict[str, str]:
-    """Read ``name=value`` words into a dict; raise InputError on any other form or a repeat."""
-    result: dict[str, str] = {}
-    for item in items:
-        name, equals, value = item.partition("=")
-        if not equals or not name.strip() or not value.strip():
-            raise InputError(f"{item!r} is not of the form name=value")
-        if name.strip() in result:
-            raise InputError(f"{name.strip()} is set twice")
-        result[name.strip()] = value.strip()
-    return result

@@ -135,3 +135,16 @@ def require_seed(seed: int) -> None:
     """InputError for a seed that no generator takes, which would fail late in its own words."""
     if not 0 <= seed <= MOST_SEED:
         raise InputError(f"seed must lie in 0..{MOST_SEED}, got {seed}")
+
+
+def parse_words(items: Sequence[str]) -> dict[str, str]:
+    """Read ``name=value`` words into a dict; raise InputError on any other form or a repeat."""
+    result: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise InputError(f"{item!r} is not of the form name=value")
+        if name.strip() in result:
+            raise InputError(f"{name.strip()} is set twice")
+        result[name.strip()] = value.strip()
+    return result

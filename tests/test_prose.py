@@ -34,7 +34,7 @@ EVIDENCE = {"scores", "verification", "task_results", "ablations", "benchmarks"}
 """Pages that may state commits and dates: they tell of measurements."""
 MOST_WORDS, MOST_WORDS_OF_A_TASK = 60_000, 800
 MESSAGE_WORDS = 25
-PACKAGES = ("taccel_lab", "cad", "calibration", "sensors")
+PACKAGES = ("taccel_lab", "cad", "calibration", "sensors", "tools/bench")
 CODE_AND_TABLES = re.compile(r"^```.*?^```|^\|[^\n]*$", flags=re.DOTALL | re.MULTILINE)
 GROUPS = [entry for entry in command_tree().values() if isinstance(entry, Group)]
 COMMANDS = {

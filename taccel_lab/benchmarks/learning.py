@@ -8,7 +8,7 @@ who make data may let it. Resets, the check of new starts, setting targets, step
 forces are timed, and what a policy sees of a step where one looks (``Observer``):
 
 Images are those of ``SignalTactile``, 64 x 64 pixels over the gel's contact face by a colour
-network of the real architecture with seeded random weights (that of the suite ``images``); wrenches
+network of the real architecture with seeded random weights (``color_model``); wrenches
 those of ``Outputs.soft_wrenches``. Torch reads both where they are, and takes the mean of each
 colour of each image: nothing is copied to the host.
 """
@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.benchmarks.measure import MemoryMeter, clock_name, clock_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, Ticker, spread
 from taccel_lab.benchmarks.runner import SHOWN, BenchmarkMotion, ForceProbe, figures_of, middle_of
@@ -30,12 +29,15 @@ from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene
 from taccel_lab.benchmarks.speed import parse_settings
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_known, require_range
 from taccel_lab.model import Model
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.outputs import to_torch
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.gel_faces import bonded_gels, face_grid
 from taccel_lab.signals.tactile import SignalTactile
 from taccel_lab.solvers import EnvStatus, ReadySteps, SolverIPC, StepReport
@@ -372,3 +374,25 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "memory_mib_per_env": bytes_used / 2**20 / count,
         "observed": observed,
     }
+
+
+def color_model(grid: PixelGrid) -> ColorModel:
+    """Random weights of the real architecture; a press of the benchmark changes tens of levels."""
+    rng = np.random.default_rng(3)
+    config = ColorModelConfig(
+        grid.width_px,
+        grid.height_px,
+        input_mean=(0.0, 0.0, 0.0, 0.0, 0.97, -0.2),
+        input_scale=(0.6, 0.6, 0.15, 0.15, 0.03, 0.25),
+    )
+    weights = {}
+    for name, shape in config.weight_shapes().items():
+        spread = 1.6 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.2
+        weights[name] = rng.normal(0.0, spread, shape)
+    return ColorModel(config, weights)
+
+
+def background(grid: PixelGrid) -> np.ndarray:
+    """Levels of an untouched sensor, [height_px, width_px, 3]."""
+    u, v = np.meshgrid(np.linspace(0, 1, grid.width_px), np.linspace(0, 1, grid.height_px))
+    return np.round(np.stack([90 + 60 * u, 140 - 40 * v, 110 + 30 * u * v], axis=-1))

@@ -102,7 +102,6 @@ def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
 
 
 SCHEMA = "taccel-lab benchmark 1"
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 REQUIRED = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
 
 

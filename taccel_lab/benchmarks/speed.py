@@ -23,9 +23,8 @@ from taccel_lab.benchmarks.measure import LaunchCounter, MemoryMeter, clock_name
 from taccel_lab.benchmarks.results import Deadline, ResultFile, Suite, Ticker, note, spread
 from taccel_lab.benchmarks.runner import SHOWN, BenchmarkMotion, Runner, figures_of, middle_of
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
-from taccel_lab.cad.parameters import parse_words
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.guards import require_known
+from taccel_lab.guards import parse_words, require_known
 
 ROOT = Path(taccel_lab.__file__).parents[1]
 """Where the package is imported from."""

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor``, ``bench quick``, ``capture check`` or ``dataset check`` found
-something broken, ``force`` read images unlike its training's, a stage of ``calibrate all`` had
-unfit captures or no design of a ``study`` keeps its constraints, 2 unusable input or usage, or
-files that cannot be read or written, as on a full disk, 3 a simulation that did not converge, 130
-interrupted (pages end so), 143 asked to end (SIGTERM). Anything else that goes wrong is a bug and
-keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help is
-fast.
+Exit codes: 0 done, 1 ``doctor``, ``capture check`` or ``dataset check`` found something broken,
+``force`` read images unlike its training's, a stage of ``calibrate all`` had unfit captures or no
+design of a ``study`` keeps its constraints, 2 unusable input or usage, or files that cannot be read
+or written, as on a full disk, 3 a simulation that did not converge, 130 interrupted (pages end so),
+143 asked to end (SIGTERM). Anything else that goes wrong is a bug and keeps its traceback. Command
+modules import heavy libraries inside ``run()`` only, so that help is fast.
 """
 
 from __future__ import annotations
@@ -195,8 +194,11 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``taccel-lab`` and return its exit code."""
+def main(
+    arguments: Sequence[str] | None = None,
+    parsed: Callable[[Sequence[str]], Command] | None = None,
+) -> int:
+    """Run ``taccel-lab``, or the command that ``parsed`` makes of words; return the exit code."""
     if arguments is None:
         # Python looks for garbage in circles once more when the process ends, which takes half a
         # second of all that a press has loaded: memory goes back whole.
@@ -204,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _interruptible(last=arguments is None) as settle:
         try:
             with _rarely_collected():
-                _run(sys.argv[1:] if arguments is None else arguments)
+                _run(sys.argv[1:] if arguments is None else arguments, parsed or parse)
             settle()
         except BaseException as error:
             # While the error is at hand, by which a second signal is known.
@@ -213,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(words: Sequence[str]) -> None:
+def _run(words: Sequence[str], parsed: Callable[[Sequence[str]], Command]) -> None:
     import logging
 
     # A shell can close either (>&-): Python then has none, where libraries expect one.
@@ -231,7 +233,7 @@ def _run(words: Sequence[str]) -> None:
     as_json = "--json" in words and not {"-h", "--help"} & set(words)
     with warnings.catch_warnings(), only_json() if as_json else nullcontext():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
-        parse(words).run()
+        parsed(words).run()
 
 
 def _show_warning(otherwise: Callable[..., None], message: Warning | str, *where: Any) -> None:

@@ -5,30 +5,27 @@ files. A command's module is imported on demand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol
 
-COMMANDS = {
-    "speed": "speed:Speed",
-    "learning": "learning:Learning",
-    "slow_steps": "slow_steps:SlowSteps",
-    "press_accuracy": "press_accuracy:PressAccuracy",
-    "stress": "stress.suite:Stress",
-    "captures": "capture_sets:Captures",
-    "images": "images:Images",
-    "readings": "readings:Readings",
-    "quick": "quick:Quick",
-    "compare": "compare:Compare",
-    "report": "report.pages:Report",
-    "scenes": "scenes:Scenes",
-}
-"""Modules below ``taccel_lab.benchmarks`` and their classes of options, suites first."""
-DESCRIPTION = """Measure speed at a stated error, and compare results.
+from taccel_lab.errors import InputError
 
-Suites write a JSON file and a page into --out; `report` makes docs/evidence/benchmarks.md from
-benchmarks/results."""
+COMMANDS = {
+    "speed": "taccel_lab.benchmarks.speed:Speed",
+    "learning": "taccel_lab.benchmarks.learning:Learning",
+    "press_accuracy": "taccel_lab.benchmarks.press_accuracy:PressAccuracy",
+    "stress": "taccel_lab.benchmarks.stress.suite:Stress",
+    "scenes": "taccel_lab.benchmarks.scenes:Scenes",
+}
+"""Modules and their classes of options, suites first."""
+MOVED = ("captures", "compare", "images", "quick", "readings", "report", "slow_steps")
+"""Commands that were here, and are of ``tools.bench`` now."""
+DESCRIPTION = """Measure speed at a stated error.
+
+Suites write a JSON file and a page into --out. Those that only make our documentation are in a
+checkout: python -m tools.bench."""
 
 
 class BenchmarkCommand(Protocol):
@@ -39,37 +36,56 @@ class BenchmarkCommand(Protocol):
 
 @dataclass(frozen=True)
 class BenchCommand:
-    """Measure speed at a stated error, and compare results."""
+    """Measure speed at a stated error."""
 
     def run(self) -> None:
         """Say which commands there are."""
         parse_bench([]).run()
 
 
-def options_of(command: str) -> type[BenchmarkCommand]:
-    """The dataclass of a command's options."""
-    module, name = COMMANDS[command].split(":")
-    return getattr(import_module(f"taccel_lab.benchmarks.{module}"), name)
+def options_of(place: str) -> type[BenchmarkCommand]:
+    """The dataclass of a command's options, by its place as in ``COMMANDS``."""
+    module, name = place.split(":")
+    return getattr(import_module(module), name)
 
 
 def parse_bench(words: Sequence[str]) -> BenchmarkCommand:
-    """The command that the words after ``bench`` name, with its options; --help and usage errors
-    leave through SystemExit (0 and 2)."""
+    """The command that the words after ``bench`` name, see ``parse_suite``.
+
+    Raises:
+        InputError: It has moved.
+    """
+    if words and words[0].replace("-", "_") in MOVED:
+        raise InputError(
+            f"taccel-lab bench has no {words[0]} any more; run python -m tools.bench {words[0]} "
+            "in a checkout"
+        )
+    return parse_suite(words, COMMANDS, "taccel-lab bench", DESCRIPTION)
+
+
+def parse_suite(
+    words: Sequence[str], commands: Mapping[str, str], prog: str, description: str
+) -> BenchmarkCommand:
+    """The command of ``prog`` that the words name, with its options; --help and usage errors leave
+    through SystemExit (0 and 2).
+
+    ``commands``: places of their options by name, as in ``COMMANDS``.
+    """
     import tyro
     from tyro.extras import SubcommandApp
 
     from taccel_lab.cli.words import require_command
 
     if words:
-        known = [name.replace("_", "-") for name in COMMANDS]
-        require_command(words[0].replace("_", "-"), known, "taccel-lab bench")
+        known = [name.replace("_", "-") for name in commands]
+        require_command(words[0].replace("_", "-"), known, prog)
     app = SubcommandApp()
     # All of them are imported for help, and for errors in the command's name, alone.
-    for command in [words[0]] if words and words[0] in COMMANDS else COMMANDS:
-        app.command(name=command)(options_of(command))
+    for command in [words[0]] if words and words[0] in commands else commands:
+        app.command(name=command)(options_of(commands[command]))
     return app.cli(
-        prog="taccel-lab bench",
-        description=DESCRIPTION,
+        prog=prog,
+        description=description,
         args=list(words) or ["--help"],
         config=(tyro.conf.PositionalRequiredArgs, tyro.conf.PositionalMetavarFromFieldName),
     )

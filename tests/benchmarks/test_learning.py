@@ -10,11 +10,11 @@ import pytest
 
 from taccel_lab.benchmarks import learning
 from taccel_lab.benchmarks.learning import gel_signal
-from taccel_lab.benchmarks.report.sections import SECTIONS, number
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.signals import resultant_wrench
+from tools.bench.report.sections import SECTIONS, number
 
 BOTH = ("rgb", "wrench")
 

@@ -77,7 +77,7 @@ from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 for name in SCENES:
     assert build_scene(name, SceneOptions(source="generated")).steps > 10
 assert Speed(envs=(1, 16)).settings() and Learning().settings()
-from taccel_lab.benchmarks import readings
+from tools.bench import readings
 assert readings.measure((96, 80), 2, "cpu", 1)["at_once"] == 2
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)

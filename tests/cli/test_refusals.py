@@ -125,7 +125,7 @@ REFUSALS = {
         "study.toml --out new --report-only": "holds no study",
         "rang.toml": "no metric 'rang' (did you mean range?)",
     },
-    "bench": {"quik": "taccel-lab bench has no command 'quik' (did you mean quick?)"},
+    "bench": {"sped": "taccel-lab bench has no command 'sped' (did you mean speed?)"},
     "dataset": {
         "chek set": "taccel-lab dataset has no command 'chek' (did you mean check?)",
         "set.toml --out out --shard 3/2": "shard '3/2' is not understood",

@@ -20,7 +20,6 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.compare import Compare
 from taccel_lab.benchmarks.results import benchmark_page, read_result
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.calibration.capture import load_capture_folder, load_captures
@@ -54,6 +53,7 @@ from taccel_lab.viewer.press_folder import read_press, summary
 from tests.calibration.judged_once import detect_once
 from tests.fuzz.reader import Reader, Refused
 from tests.fuzz.samples import captures, layouts, profiles, recordings, results, shapes, touches
+from tools.bench.compare import Compare
 
 Call = Callable[[Path, Path], object]
 

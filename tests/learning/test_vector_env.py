@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from taccel_lab.benchmarks.images import background, color_model
+from taccel_lab.benchmarks.learning import background, color_model
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from taccel_lab.benchmarks.kept_reader import unit_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
@@ -33,6 +32,7 @@ from taccel_lab.reading.slopes import NormalModel, relative_normals
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 from tests.networks.weights import random_weights
 from tests.reading.dents import CONFIG, WIDE, WIDE_GRID, background, dented
+from tools.bench.kept_reader import unit_of
 
 
 @pytest.fixture(autouse=True)

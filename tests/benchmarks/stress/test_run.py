@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.report.pages import draw_stress
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.benchmarks.stress import suite
 from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
@@ -19,6 +18,7 @@ from taccel_lab.benchmarks.stress.suite import Stress, case_ids, summarize, tabl
 from taccel_lab.errors import InputError
 from tests.benchmarks.stress.rigged import rigged_case
 from tests.support.variants import variants
+from tools.bench.report.pages import draw_stress
 
 BUDGET_S = 0.4
 """Of a case here: enough for most."""

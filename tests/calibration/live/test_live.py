@@ -18,7 +18,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from taccel_lab.api.read import read
-from taccel_lab.benchmarks.readings import networks, presses
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.page import FIGURES_EVERY_S
@@ -39,6 +38,7 @@ from tests.support.real_data import real_data
 from tests.support.sample_blocks import ASSUMED
 from tests.support.synthetic_presses import flat_profile
 from tests.viewer.browser import chromium_page, picture, wait_for
+from tools.bench.readings import networks, presses
 
 
 class Watching:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from taccel_lab.benchmarks.results import FOLDER
 from taccel_lab.exporters.taxim_table import TABLE_FILE, TERMS, TableFile, TaximTable, write_table
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CACHE_VARIABLE, CachedFile, cached_arrays
@@ -24,6 +23,7 @@ from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
 from taccel_lab.tasks.catalogue import FILES
+from tools.bench.report.pages import FOLDER
 
 STUDY = (
     '[study]\nname = "Thickness"\nsensor = "flat_pad"\n'

@@ -148,7 +148,7 @@ class Quick:
         """Exit code 1 when a figure is out of bounds."""
         found = measure_all()
         if self.update:
-            what = "Figures of taccel_lab.benchmarks.quick that noise cannot move, by --update."
+            what = "Figures of tools.bench.quick that noise cannot move, by --update."
             write_json(BASELINE, {"what": what, "run": describe_run(), "scenes": found})
             note(f"wrote {BASELINE}")
             return

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks import smallest_touch
-from taccel_lab.benchmarks.smallest_touch import NOISE_PX, touch_figures, untouched_frames
 from tests.support.pressed_mini import PressedMini, ball
+from tools.bench import smallest_touch
+from tools.bench.smallest_touch import NOISE_PX, touch_figures, untouched_frames
 
 
 @pytest.fixture(scope="module")

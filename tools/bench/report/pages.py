@@ -16,7 +16,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from taccel_lab.benchmarks.report.sections import (
+from taccel_lab.benchmarks.results import SCHEMA
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import build_scene
+from taccel_lab.files.atomic_file import atomic_file, write_by
+from taccel_lab.report.page_text import with_parts
+from taccel_lab.studies.report.figures import plain_log_ticks
+from taccel_lab.tasks.scene_picture import draw_bodies
+from tools.bench.report.sections import (
     HEADLINE,
     SECTIONS,
     VERIFICATION,
@@ -26,16 +33,10 @@ from taccel_lab.benchmarks.report.sections import (
     read_peers,
     scene_of,
 )
-from taccel_lab.benchmarks.results import FOLDER, SCHEMA
-from taccel_lab.benchmarks.runner import Runner
-from taccel_lab.benchmarks.scenes import build_scene
-from taccel_lab.files.atomic_file import atomic_file, write_by
-from taccel_lab.report.page_text import with_parts
-from taccel_lab.studies.report.figures import plain_log_ticks
-from taccel_lab.tasks.scene_picture import draw_bodies
 
 _ROOT = Path(__file__).resolve().parents[3]
 PAGE, README = _ROOT / "docs" / "evidence" / "benchmarks.md", _ROOT / "README.md"
+FOLDER = _ROOT / "benchmarks" / "results"
 PAGES: dict[Path, dict[str, Section]] = {
     PAGE: SECTIONS,
     README: HEADLINE,

@@ -19,13 +19,12 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
+from taccel_lab.benchmarks.learning import background, color_model
 from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.camera.gel_camera import face_of
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.networks.color_settings import ColorModelConfig
-from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 
@@ -105,28 +104,6 @@ def pressed(mesh: TetMesh, env_count: int, reach_m: float | None = None) -> np.n
     positions[..., 2] -= depth * share
     positions[..., :2] += shear * share[..., None]
     return positions
-
-
-def color_model(grid: PixelGrid) -> ColorModel:
-    """Random weights of the real architecture; a press of the benchmark changes tens of levels."""
-    rng = np.random.default_rng(3)
-    config = ColorModelConfig(
-        grid.width_px,
-        grid.height_px,
-        input_mean=(0.0, 0.0, 0.0, 0.0, 0.97, -0.2),
-        input_scale=(0.6, 0.6, 0.15, 0.15, 0.03, 0.25),
-    )
-    weights = {}
-    for name, shape in config.weight_shapes().items():
-        spread = 1.6 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.2
-        weights[name] = rng.normal(0.0, spread, shape)
-    return ColorModel(config, weights)
-
-
-def background(grid: PixelGrid) -> np.ndarray:
-    """Levels of an untouched sensor, [height_px, width_px, 3]."""
-    u, v = np.meshgrid(np.linspace(0, 1, grid.width_px), np.linspace(0, 1, grid.height_px))
-    return np.round(np.stack([90 + 60 * u, 140 - 40 * v, 110 + 30 * u * v], axis=-1))
 
 
 def marker_points_mm() -> np.ndarray:

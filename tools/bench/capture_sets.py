@@ -232,9 +232,9 @@ def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
 
 def _touch_report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
     """Touches and untouched frames as the profile of both calibrations reads them."""
-    from taccel_lab.benchmarks.smallest_touch import touch_figures
     from taccel_lab.calibration.capture import load_captures
     from taccel_lab.profile import load_profile
+    from tools.bench.smallest_touch import touch_figures
 
     by = {}
     for command in ("color", "normals"):

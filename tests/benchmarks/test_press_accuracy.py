@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suites on their smallest scenes: readings, press_accuracy."""
+"""The suite ``press_accuracy`` on its smallest presses."""
 
 from __future__ import annotations
 
@@ -8,35 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks import press_accuracy, readings
-from taccel_lab.benchmarks.report.sections import VERIFICATION
+from taccel_lab.benchmarks import press_accuracy
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.presses import PHYSICS, Accuracy
 from tests.support.bench import bench
-
-# Readings -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_images_are_read_at_a_speed_and_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(readings, "SIZES", ((160, 128),))
-    words = ["readings", "--at-once", "1", "2", "--repeats", "1", "--out", str(tmp_path)]
-    assert bench(words) == 0
-    document = read_result(tmp_path / "readings.json")
-    assert [row["at_once"] for row in document["rows"]] == [1, 2]
-    for row in document["rows"]:
-        assert 0 < row["off_mm_max"] < 0.01 < 0.3 < row["deepest_mm"]
-        assert min(row[name]["images_per_s"] for name in ("heights", "heights and deviation")) > 0
-    assert document["headline"]["aim_per_s"] == 20
-    # One at a time a kept reader is timed, beside a small network.
-    alone, together = document["rows"]
-    for name in ("touched ms", "untouched ms", "small network ms"):
-        assert alone[name]["median"] > 0 and name not in together
-
-
-# Accuracy of presses ------------------------------------------------------------------------------
+from tools.bench.report.sections import VERIFICATION
 
 
 @pytest.mark.thorough

@@ -198,7 +198,7 @@ def measure(size: tuple[int, int], count: int, device: str, repeats: int) -> dic
         row[name] = {**figures, "images_per_s": count / figures["median"]}
     if count == 1 and device == "cpu":
         # Readers need what a machine of a GPU may lack (cv2).
-        from taccel_lab.benchmarks.kept_reader import measure_reader
+        from tools.bench.kept_reader import measure_reader
 
         row |= measure_reader(model, images[0], light, grid, repeats)
     return row

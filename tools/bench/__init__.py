@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suites that make our documentation; ``python -m tools.bench`` runs them in a checkout."""
