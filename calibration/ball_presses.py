@@ -10,6 +10,8 @@ from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
+from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     on_grid,
@@ -17,13 +19,9 @@ from taccel_lab.calibration.base_profile import (
     require_labels_and_view,
     with_measured_scale,
 )
-from taccel_lab.calibration.capture.captures import (
-    CaptureSet,
-    ContactCircle,
-    PressSplit,
-    without_labels,
-)
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.run import (
     capture_check,
     capture_findings,
@@ -36,10 +34,8 @@ from taccel_lab.calibration.circles.ball_surface import (
     layer_surfaces,
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.circles.usable import usable_circles
-from taccel_lab.calibration.light.background import calibrate_background
-from taccel_lab.calibration.light.background_result import BackgroundCalibration
-from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.calibration.response.frame import HeldoutSet

@@ -95,15 +95,15 @@ BLOCKS = (
     CalibrationBlock("scale", "scale.fit", "scale.scale_page", reads_folder=True),
     CalibrationBlock(
         "background",
-        "light.background",
-        "light.background_result",
-        "light.background:BackgroundOptions",
+        "background.fit",
+        "background.background_page",
+        "background.fit:BackgroundOptions",
     ),
     CalibrationBlock("color", "color.fit", "color.color_page", "press_options:ColorOptions"),
     CalibrationBlock(
         "normals", "normals.fit", "normals.normals_page", "press_options:NormalOptions"
     ),
-    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "press_options:DepthOptions"),
+    CalibrationBlock("depth", "depth.fit", "depth.depth_page", "press_options:DepthOptions"),
     CalibrationBlock("markers", "markers.fit", "markers.markers_page"),
     CalibrationBlock(
         "material", "material.fit", "material.material_page", "material.options:MaterialOptions"

@@ -48,10 +48,10 @@ from taccel_lab.summary import Summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taccel_lab.calibration.background.result import BackgroundCalibration
     from taccel_lab.calibration.camera.result import CameraCalibration
     from taccel_lab.calibration.color.result import ColorCalibration
-    from taccel_lab.calibration.grey.result import DepthCalibration
-    from taccel_lab.calibration.light.background_result import BackgroundCalibration
+    from taccel_lab.calibration.depth.result import DepthCalibration
     from taccel_lab.calibration.markers.result import MarkerCalibration
     from taccel_lab.calibration.material.result import MaterialCalibration
     from taccel_lab.calibration.normals.result import NormalCalibration

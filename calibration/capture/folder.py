@@ -14,15 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import (
-    HOLDOUT_EVERY,
-    CapturedPress,
-    CaptureSet,
-    Frame,
-    Once,
-    PressSplit,
-    split_presses,
-)
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, Frame, Once
 from taccel_lab.calibration.capture.schema import (
     BoardEntry,
     EdgeEntry,
@@ -30,6 +22,7 @@ from taccel_lab.calibration.capture.schema import (
     RecordEntry,
     VideoEntry,
 )
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -20,12 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import (
-    CapturedPress,
-    CaptureSet,
-    ContactCircle,
-    PressSplit,
-)
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import place_heldout

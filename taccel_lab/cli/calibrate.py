@@ -24,7 +24,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.learning.force.options import ForceOptions
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.light.background import BackgroundOptions
+    from taccel_lab.calibration.background.fit import BackgroundOptions
     from taccel_lab.calibration.material.options import MaterialOptions
     from taccel_lab.profile import SensorProfile
 
@@ -48,7 +48,7 @@ class CalibrateBackground(BlockCommand):
     compared, too; the base counts as one when it is given."""
 
     def options(self, base: SensorProfile) -> BackgroundOptions:
-        from taccel_lab.calibration.light.background import BackgroundOptions
+        from taccel_lab.calibration.background.fit import BackgroundOptions
         from taccel_lab.profile import load_profile
 
         units = [load_profile(path) for path in self.units]
@@ -312,8 +312,8 @@ class CalibrateRefit:
     def run(self) -> None:
         from taccel_lab.calibration.base_profile import with_session
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.calibration.light.refit import calibrate_refit
-        from taccel_lab.calibration.light.refit_result import refit_page
+        from taccel_lab.calibration.refit.fit import calibrate_refit
+        from taccel_lab.calibration.refit.result import refit_page
         from taccel_lab.cli.console import notes, working
         from taccel_lab.profile import load_profile
 

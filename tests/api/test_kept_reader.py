@@ -19,7 +19,7 @@ from taccel_lab.api import kept_readers
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading import reader as room
 from taccel_lab.signals.frame_operators import lost_rows
-from tests.calibration.grey.test_depth import grey_unit
+from tests.calibration.depth.test_depth import grey_unit
 from tests.support.capture_sets import write_image
 
 

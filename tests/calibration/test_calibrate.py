@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.check import run as block_findings
-from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.press_options import ColorOptions
 from taccel_lab.calibration.unfinished import BlockState
 from taccel_lab.errors import InputError

@@ -16,7 +16,7 @@ from taccel_lab.calibration import pad as pads
 from taccel_lab.calibration.base_profile import base_profile, captures_on_pad
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.color.fit import calibrate_color
-from taccel_lab.calibration.grey import fit as depth_fit
+from taccel_lab.calibration.depth import fit as depth_fit
 from taccel_lab.calibration.normals.fit import calibrate_normals
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

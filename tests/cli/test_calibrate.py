@@ -68,7 +68,7 @@ def test_a_block_that_refuses_ends_with_1(
         raise InputError("the light is off")
 
     fit_colors_as_backgrounds(monkeypatch)
-    fit = "taccel_lab.calibration.light.background.calibrate_background"
+    fit = "taccel_lab.calibration.background.fit.calibrate_background"
     monkeypatch.setattr(fit, refuse)
     # The report may be the folder one is in.
     (tmp_path / "here").mkdir()

@@ -15,7 +15,7 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
-from tests.calibration.grey.test_depth import grey_unit
+from tests.calibration.depth.test_depth import grey_unit
 from tests.cli.conftest import Cli
 from tests.support.capture_sets import write_image
 

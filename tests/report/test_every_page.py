@@ -15,16 +15,16 @@ from PIL import Image
 
 import taccel_lab.report.page as page_module
 from taccel_lab.benchmarks.results import benchmark_page, read_result
+from taccel_lab.calibration.background.background_page import background_page
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.camera.camera_page import camera_page
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.importers import import_folders
 from taccel_lab.calibration.check import check_captures, check_page
-from taccel_lab.calibration.grey.depth_page import depth_page
-from taccel_lab.calibration.grey.fit import fit_depth
+from taccel_lab.calibration.depth.depth_page import depth_page
+from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.import_options import ImportOptions
-from taccel_lab.calibration.light.background import calibrate_background
-from taccel_lab.calibration.light.background_result import background_page
 from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.calibration.scale.fit import calibrate_scale
@@ -37,7 +37,7 @@ from taccel_lab.report.readings_page import readings_page
 from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
 from taccel_lab.studies.evaluate.runner import run_study
 from taccel_lab.studies.report import write_study_report
-from tests.calibration.grey.test_depth import CIRCLES, captures_of
+from tests.calibration.depth.test_depth import CIRCLES, captures_of
 from tests.learning.force.conftest import QUICK
 from tests.learning.force.small_touches import planned, write_touches
 from tests.report.test_page_in_browser import WIDER

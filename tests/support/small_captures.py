@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.background import fit as background_fit
+from taccel_lab.calibration.background.background_page import background_page
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.light import background as background_fit
-from taccel_lab.calibration.light.background_result import background_page
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import (

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.importers import plain, published
 from taccel_lab.calibration.capture.importers.draft import (
@@ -34,6 +33,7 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, manifest_notes
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.errors import InputError
 from taccel_lab.files.foreign_images import WAY_OUT, unread_format, unread_pictures
 from taccel_lab.files.inner_path import real_path, require_inner_links

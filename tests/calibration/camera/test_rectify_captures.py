@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import taccel_lab.calibration.calibrate as whole
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps, rectify_captures
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
-from taccel_lab.calibration.grey.fit import grey_captures
-from taccel_lab.calibration.light.background import calibrate_background
+from taccel_lab.calibration.depth.fit import grey_captures
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import file_sha256

@@ -16,12 +16,12 @@ from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.captures import CaptureSet, Frame
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.calibration.grey.fit import calibrate_depth
+from taccel_lab.calibration.depth.fit import calibrate_depth
 from taccel_lab.calibration.normals.fit import calibrate_normals
 from taccel_lab.calibration.press_options import NormalOptions
 from taccel_lab.reading.reader import Reader
 from taccel_lab.report.remark import Severity
-from tests.calibration.grey import test_depth as grey
+from tests.calibration.depth import test_depth as grey
 from tests.calibration.normals.conftest import short_color_fits, sunk_captures
 from tests.support.capture_sets import CaptureMaker, edit_manifest, spread_circles
 from tests.support.commands import refusal, run

@@ -18,10 +18,14 @@ from scipy.sparse.csgraph import connected_components
 from taccel_lab.calibration.capture import (
     CapturedPress,
     ContactCircle,
-    captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.captures import LARGEST_PLACE, SAME_PLACE_RADII, PressSplit
+from taccel_lab.calibration.capture.split import (
+    LARGEST_PLACE,
+    SAME_PLACE_RADII,
+    PressSplit,
+    split_presses,
+)
 from taccel_lab.errors import InputError
 from tests.support.small_captures import write_captures
 
@@ -37,7 +41,7 @@ def presses(centers: np.ndarray, labelled: bool = True) -> list[CapturedPress]:
 
 
 def split_of(some: list[CapturedPress], every: int = 4) -> PressSplit:
-    return captures.split_presses(some, every, None, "somewhere")
+    return split_presses(some, every, None, "somewhere")
 
 
 @given(count=st.integers(1, 40), every=st.integers(-2, 45), labelled=st.booleans())

@@ -30,8 +30,8 @@ from taccel_lab.profile import NormalsBlock, SensorProfile
 from taccel_lab.reading.dots import marker_picture
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
+from tests.calibration.depth.test_depth import DEEPEST_MM, GRID, grey_unit
 from tests.calibration.drawn.faults import quantise
-from tests.calibration.grey.test_depth import DEEPEST_MM, GRID, grey_unit
 from tests.calibration.record.sessions import SteeredCamera
 from tests.support.capture_sets import write_image
 from tests.support.real_data import real_data

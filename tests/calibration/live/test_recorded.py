@@ -24,7 +24,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.profile import BranchEntry
 from taccel_lab.signals.frame_operators import lost_rows, torn
-from tests.calibration.grey.test_depth import grey_unit
+from tests.calibration.depth.test_depth import grey_unit
 from tests.support.capture_sets import write_image
 from tests.support.oblong_grey import grey_profile
 

@@ -18,7 +18,7 @@ from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.ros import RosPublisher
 from taccel_lab.calibration.live.run import live_session, run_together
 from taccel_lab.errors import InputError
-from tests.calibration.grey.test_depth import grey_unit
+from tests.calibration.depth.test_depth import grey_unit
 from tests.calibration.live.test_live import Watching
 from tests.calibration.record.sessions import SteeredCamera
 from tests.support.small_captures import everything_below, never

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureFolder, CaptureSet, ContactCircle
-from taccel_lab.calibration.light.light_change import RefitFrame, fit_light_change
-from taccel_lab.calibration.light.refit import (
+from taccel_lab.calibration.refit.fit import (
     NewFrames,
     calibrate_refit,
     refit_frames,
     refit_profile,
 )
-from taccel_lab.calibration.light.refit_result import RefitCalibration, refit_page
+from taccel_lab.calibration.refit.light_change import RefitFrame, fit_light_change
+from taccel_lab.calibration.refit.result import RefitCalibration, refit_page
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile

@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_of, sunk_share
-from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness, thickness_origin
+from taccel_lab.calibration.circles.thickness import GelThickness, gel_thickness, thickness_origin
 from taccel_lab.calibration.pad import fitted_design
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

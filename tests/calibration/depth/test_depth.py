@@ -13,10 +13,10 @@ import pytest
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.grey import find_grey_contact
-from taccel_lab.calibration.grey import curve
-from taccel_lab.calibration.grey.depth_page import depth_page
-from taccel_lab.calibration.grey.fit import fit_depth
-from taccel_lab.calibration.grey.result import DepthCalibration
+from taccel_lab.calibration.depth import curve
+from taccel_lab.calibration.depth.depth_page import depth_page
+from taccel_lab.calibration.depth.fit import fit_depth
+from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.grey.result import DepthCalibration
+from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.scores import block_scores
 from taccel_lab.printable import counted
 from taccel_lab.report.page import Page, Table, picture, sentence

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
+from taccel_lab.calibration.background import result as background_result
+from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.result import BackgroundCalibration, dust_mask
 from taccel_lab.calibration.capture import CapturedPress, CaptureFolder, ContactCircle, Frame
-from taccel_lab.calibration.light import background_result
-from taccel_lab.calibration.light.background import calibrate_background
-from taccel_lab.calibration.light.background_result import BackgroundCalibration, dust_mask
 from taccel_lab.errors import InputError
 from tests.calibration.circles.presses import BALL_MM, GRID, gel, pressed, scattered
 from tests.calibration.drawn.faults import add_dust, add_noise, drift, poison, quantise

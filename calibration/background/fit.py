@@ -8,22 +8,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import require_image_of
-from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
-from taccel_lab.calibration.check.background import check_background
-from taccel_lab.calibration.light import remarks
-from taccel_lab.calibration.light.background_result import (
+from taccel_lab.calibration.background import remarks
+from taccel_lab.calibration.background.perturbation import spread_of_units
+from taccel_lab.calibration.background.result import (
     BackgroundCalibration,
     FrameLight,
     dust_mask,
     speck_count,
 )
-from taccel_lab.calibration.light.perturbation import spread_of_units
-from taccel_lab.calibration.light.untouched import (
+from taccel_lab.calibration.background.untouched import (
     RunningMean,
     background_from_presses,
     untouched_pixels,
 )
+from taccel_lab.calibration.base_profile import require_image_of
+from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
+from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light_drift import drift_remarks, drift_spread
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.errors import InputError

@@ -23,7 +23,7 @@ from taccel_lab.calibration.circles.ball_surface import (
     deeper_per_mm,
     layer_of,
 )
-from taccel_lab.calibration.light.thickness_rings import (
+from taccel_lab.calibration.circles.thickness_rings import (
     STEPS,
     THICKEST_MM,
     BallImage,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.light.light_change import LightChangeFit
+from taccel_lab.calibration.refit.light_change import LightChangeFit
 from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig

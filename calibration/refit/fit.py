@@ -15,21 +15,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.calibration.background.untouched import RunningMean, steady_pixels, untouched_pixels
 from taccel_lab.calibration.base_profile import captures_on_pad, require_image_of
-from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
-from taccel_lab.calibration.light import remarks
-from taccel_lab.calibration.light.light_change import (
+from taccel_lab.calibration.pad import require_view_on_pad
+from taccel_lab.calibration.refit import remarks
+from taccel_lab.calibration.refit.light_change import (
     LightChange,
     LightChangeFit,
     RefitFrame,
     fit_light_change,
 )
-from taccel_lab.calibration.light.refit_result import CHANNELS, FrameError, RefitCalibration
-from taccel_lab.calibration.light.untouched import RunningMean, steady_pixels, untouched_pixels
-from taccel_lab.calibration.pad import require_view_on_pad
+from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.light import fit_light

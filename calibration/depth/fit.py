@@ -40,8 +40,9 @@ from taccel_lab.calibration.check.remarks import BALL_OR_DIAMETER
 from taccel_lab.calibration.check.run import capture_findings, joined, refusing_with
 from taccel_lab.calibration.circles.ball_surface import diameter_share, layer_of
 from taccel_lab.calibration.circles.labels import choose_circles
+from taccel_lab.calibration.circles.thickness import TOUCH_MM
 from taccel_lab.calibration.circles.usable import usable_presses
-from taccel_lab.calibration.grey.curve import (
+from taccel_lab.calibration.depth.curve import (
     ContactPixels,
     contact_pixels,
     curve_spread_mm,
@@ -50,8 +51,7 @@ from taccel_lab.calibration.grey.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
-from taccel_lab.calibration.grey.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.light.thickness import TOUCH_MM
+from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.calibration.remarks import (
     GREY_OR_COLOUR,

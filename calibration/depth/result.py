@@ -13,7 +13,7 @@ from taccel_lab.calibration.ball_presses import with_captured_background, with_d
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.grey.curve import ContactPixels
+from taccel_lab.calibration.depth.curve import ContactPixels
 from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.profile import DepthResponseBlock, SensorProfile
 from taccel_lab.report.remark import Remark, judge

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.light.perturbation import perturbation_block, spread_of_units
+from taccel_lab.calibration.background.perturbation import perturbation_block, spread_of_units
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.reading.light import LightDrift, fit_light
