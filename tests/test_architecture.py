@@ -108,7 +108,7 @@ BARE_ROOMS = {
     # Compute nodes have neither CAD nor command line: presses and renders must run there.
     "taccel_lab.presses, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render, "
     "taccel_lab.studies.evaluate.evaluate, taccel_lab.benchmarks.speed": [
-        *(name for name in HEAVY if name not in ("warp", "scipy")),
+        *(name for name in HEAVY if name != "warp"),
         *("pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"),
     ],
     # Only environments need the extra ``learning``; the main job's installation has none.

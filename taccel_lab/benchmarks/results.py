@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -187,6 +188,9 @@ class ResultFile:
             yield self
         self._document["complete"] = not self.deadline.stopped
         self.write()
+        if find_spec("jinja2") is None:
+            note(f"wrote {self.path}; a page of it needs jinja2, which is not installed")
+            return
         page = self.path.with_suffix(".html")
         write_page_file(benchmark_page(self._document, self._shown), page)
         note(f"wrote {self.path} and {page}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.bodies.box_pairs import box_pairs
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.files.triangle_file import FLAT as FLAT_TRIANGLE
@@ -80,12 +81,13 @@ def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
 
 
 def _check_duplicates(points: np.ndarray, what: str) -> None:
-    from scipy.spatial import KDTree
-
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
-    pairs = KDTree(points).query_pairs(COINCIDENT * extent, output_type="ndarray")
+    near = COINCIDENT * extent
+    pairs = np.stack(box_pairs((points - near, points + near), (points, points)), axis=1)
+    pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+    pairs = pairs[np.linalg.norm(np.subtract(*points[pairs.T]), axis=1) <= near]
     said = "pairs of vertices lie at the same place"
-    refuse_any(np.sort(pairs, axis=1), what, said, "pairs", "; merge them")
+    refuse_any(pairs, what, said, "pairs", "; merge them")
 
 
 def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: bool) -> None:

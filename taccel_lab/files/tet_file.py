@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tet meshes of other programs: Gmsh's .msh, VTK's .vtu and .vtk, read in a process of its own.
+"""Tet meshes of other programs: Gmsh's .msh, VTK's .vtu and .vtk, read in a process of its own, or
+with numpy alone where that does (``vtk_tets``).
 
 MSH files of versions 2.2 and 4.1, as text or binary, are read with numpy alone. The format:
 https://gmsh.info/doc/texinfo/gmsh.html#Gmsh-file-formats
@@ -17,6 +18,7 @@ from taccel_lab.files.apart import read_apart
 from taccel_lab.files.declared import require_few
 from taccel_lab.files.regular_file import read_regular_file, require_regular_file
 from taccel_lab.files.vtk_mesh import QUADRATIC_TETRA, TETRA, cells_of, read_vtk
+from taccel_lab.files.vtk_tets import plain_tets
 
 SUFFIXES = (".msh", ".vtu", ".vtk")
 MAX_TETS = 500_000
@@ -31,14 +33,19 @@ def read_tet_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     keep their corners. Raises InputError for a file that cannot be read, has no tets or too many,
     and for coordinates that are not finite.
     """
-    require_regular_file(path, MAX_BYTES, "a tet mesh (.msh, .vtu or .vtk)")
+    what = "a tet mesh (.msh, .vtu or .vtk)"
+    require_regular_file(path, MAX_BYTES, what)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: only {', '.join(SUFFIXES)} files can be read as tets")
     if suffix == ".msh":
         nodes, tets = read_apart(str(path), read_gmsh, path, by="numpy")
-    else:
+    elif suffix != ".vtk" or (
+        (plain := plain_tets(read_regular_file(path, MAX_BYTES, what))) is None
+    ):
         nodes, tets = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
+    else:
+        nodes, tets = plain
     if not len(tets):
         raise InputError(f"{path} holds no tets, or is not a readable mesh file")
     require_few(path, "tets", len(tets), MAX_TETS, "coarsen it")

@@ -17,11 +17,14 @@ def pieces_of_pairs(pairs: np.ndarray, count: int) -> np.ndarray:
 
     Pieces are numbered by their first node.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
+    first_of = np.arange(count)
+    while len(pairs):
+        pairs = np.sort(first_of[pairs], axis=1)
+        pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+        np.minimum.at(first_of, pairs[:, 1], pairs[:, 0])
+        while ((nearer := first_of[first_of]) != first_of).any():
+            first_of = nearer
+    return np.unique(first_of, return_inverse=True)[1]
 
 
 def piece_of_nodes(cells: np.ndarray, node_count: int) -> np.ndarray:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from itertools import permutations
 from pathlib import Path
 
@@ -24,9 +22,7 @@ from taccel_lab.model.embedding import rotate
 from taccel_lab.tasks.parts import PITCH_M, hexagon_nut, threaded_rod
 from tests.support.intersection import find_intersections
 
-ROOT = Path(__file__).parents[2]
 STEPS = {"peg": 6, "press_239": 6, "squeeze": 3, "hand": 2, "bolt": 2}
-ABSENT = ("tyro", "rich", "pyvista", "build123d", "OCP", "cv2", "kornia", "pydantic", "matplotlib")
 
 
 def converges(name: str, source: str, steps: int | None) -> None:
@@ -57,31 +53,6 @@ def test_whole_motions(name: str, source: str) -> None:
     if source == "published" and not has_data("pads"):
         pytest.skip(f"the published meshes are not at {mesh_folder()}")
     converges(name, source, None)
-
-
-@pytest.mark.thorough
-def test_only_warp_numpy_scipy_and_torch_are_needed() -> None:
-    code = f"""
-import sys
-
-class Refuse:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {ABSENT!r}:
-            raise ModuleNotFoundError(name)
-
-sys.meta_path.insert(0, Refuse())
-from taccel_lab.benchmarks import compare, images, quick
-from taccel_lab.benchmarks.learning import Learning
-from taccel_lab.benchmarks.speed import Speed
-from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
-for name in SCENES:
-    assert build_scene(name, SceneOptions(source="generated")).steps > 10
-assert Speed(envs=(1, 16)).settings() and Learning().settings()
-from tools.bench import readings
-assert readings.measure((96, 80), 2, "cpu", 1)["at_once"] == 2
-"""
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 def test_environments_may_lag() -> None:

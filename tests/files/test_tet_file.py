@@ -13,6 +13,7 @@ import pyvista
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.tet_file import read_tet_file
+from taccel_lab.files.vtk_tets import plain_tets
 
 NODES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]])
 TAGS = np.array([2, 4, 6, 8, 10])
@@ -75,6 +76,20 @@ def test_tets_of_vtk_are_turned_right_and_others_left_out(suffix: str, tmp_path:
     nodes, tets = read_tet_file(tmp_path / f"gel{suffix}")
     corners = nodes[tets[0]]
     assert len(tets) == 1 and np.linalg.det(corners[1:] - corners[0]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_files_as_vtk_writes_them_are_read_without_it(kind: type, tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(1), tmp_path / "gel.vtk"
+    kinds = rng.choice([5, 10, 24], 20)
+    cells = [[size, *rng.integers(0, 30, size)] for size in map({5: 3, 10: 4, 24: 10}.get, kinds)]
+    grid = pyvista.UnstructuredGrid(np.concatenate(cells), kinds, rng.random((30, 3)).astype(kind))
+    grid.save(path)
+    found = plain_tets(path.read_bytes())
+    assert found is not None
+    np.testing.assert_array_equal(found[0], grid.points)
+    corners = [grid.cells_dict[k][:, :4] for k in (10, 24)]
+    np.testing.assert_array_equal(found[1], np.concatenate(corners))
 
 
 @pytest.mark.parametrize(

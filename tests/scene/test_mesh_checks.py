@@ -156,6 +156,15 @@ def test_faults_of_tets_are_named() -> None:
             check_tets(mesh, "gel")
 
 
+def test_vertices_of_one_place_are_named() -> None:
+    v, count = BALL.vertices_m, len(BALL.vertices_m)
+    low, high = int(v[:, 2].argmin()), int(v[:, 2].argmax())
+    above = v + (v[high] - v[low]) + [1e-13, 0, 0]
+    words = rf"1 pairs of vertices lie at the same place: pairs \({high}, {count + low}\); merge"
+    with pytest.raises(InputError, match=words):
+        check(np.concatenate([v, above]), np.concatenate([BALL.faces, BALL.faces + count]))
+
+
 def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
     nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, 1e-12], [0.3, 0.3, 1.0]]) * 1e-2
     one = np.array([[0, 1, 2, 3]])

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,9 @@ import pytest
 from taccel_lab.benchmarks.results import read_result
 from tests.support.bench import tools_bench
 from tools.bench import readings
+
+ROOT = Path(__file__).parents[2]
+ABSENT = ("tyro", "rich", "pyvista", "build123d", "OCP", "cv2", "kornia", "pydantic", "matplotlib")
 
 
 @pytest.mark.thorough
@@ -29,3 +34,15 @@ def test_images_are_read_at_a_speed_and_an_error(
     alone, together = document["rows"]
     for name in ("touched ms", "untouched ms", "small network ms"):
         assert alone[name]["median"] > 0 and name not in together
+
+
+@pytest.mark.thorough
+def test_only_warp_numpy_scipy_and_torch_are_needed() -> None:
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({ABSENT!r}))
+from tools.bench import images, readings
+assert readings.measure((96, 80), 2, "cpu", 1)["at_once"] == 2
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

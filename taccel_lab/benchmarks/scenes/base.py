@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
@@ -164,7 +164,13 @@ def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def pose(matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Position and quaternion, [7]."""
-    return np.concatenate([place, Rotation.from_matrix(matrix).as_quat(canonical=True)])
+    return np.concatenate([place, wp.quat_from_matrix(wp.mat33d(*matrix.ravel()))])
+
+
+def turn_about(axis: tuple[float, float, float], angle: float) -> np.ndarray:
+    """Matrix [3, 3] of a turn by an angle [rad] about a unit axis."""
+    turn = wp.quat_from_axis_angle(wp.vec3d(*axis), wp.float64(angle))
+    return np.array(wp.quat_to_matrix(turn)).reshape(3, 3)
 
 
 def same_side(poses: np.ndarray) -> np.ndarray:

@@ -10,7 +10,6 @@ and the drag of the gels, along which the flats must slip.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from taccel_lab.benchmarks.scenes.base import (
     BenchScene,
@@ -20,6 +19,7 @@ from taccel_lab.benchmarks.scenes.base import (
     mounted,
     pose,
     same_side,
+    turn_about,
 )
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
@@ -87,7 +87,7 @@ def gel_path(middle_m: float) -> np.ndarray:
     angles = np.interp(moments, [close, close + turn], [0, 2 * np.pi])
     rows = []
     for gap, angle in zip(gaps, angles, strict=True):
-        around = Rotation.from_euler("z", angle).as_matrix()
+        around = turn_about((0.0, 0.0, 1.0), angle)
         row = []
         for side in (-1.0, 1.0):
             outward = around @ [-side, 0.0, 0.0]

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from taccel_lab.benchmarks.scenes.base import (
     BenchScene,
@@ -24,6 +23,7 @@ from taccel_lab.benchmarks.scenes.base import (
     mounted,
     pose,
     same_side,
+    turn_about,
 )
 from taccel_lab.benchmarks.scenes.drag import touching_height
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
@@ -155,7 +155,7 @@ def mount_path(places: list[GelPlace], meshes: dict[str, TetMesh], radius_m: flo
     part = part**2 * (3 - 2 * part)
     rows = []
     for gap, done in zip(gaps, part, strict=True):
-        turn = Rotation.from_euler("x", TURN_RAD * done).as_matrix()
+        turn = turn_about((1.0, 0.0, 0.0), TURN_RAD * done)
         lift = np.array([0.0, 0.0, LIFT_M * done])
         row = []
         for place in places:

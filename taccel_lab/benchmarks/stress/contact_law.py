@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from taccel_lab.ipc.contact.collision_lists import (
     EDGE_EDGE,
@@ -22,6 +21,7 @@ from taccel_lab.ipc.contact.collision_lists import (
 )
 from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
+from taccel_lab.model.embedding import rotate
 
 Array = np.ndarray
 
@@ -114,12 +114,8 @@ def _turned(nodes: Array, normals: Array, motion: SurfaceMotion, model: Model) -
         first = len(model.scene.soft_bodies) + model.affine.count
         body = model.surface.node_bodies.numpy()[nodes[ball]] - first
         arm = -model.surface.node_radii.numpy()[nodes[ball], None] * normals[ball]
-        back, now = (
-            Rotation.from_quat(poses[body, 3:]).as_matrix()
-            for poses in (motion.poses_before, motion.poses)
-        )
-        then = np.einsum("pij,pkj,pk->pi", back, now, arm)
-        arms[ball] = arm - then
+        back, now = (poses[body, 3:] for poses in (motion.poses_before, motion.poses))
+        arms[ball] = arm - rotate(back, rotate(now * [-1, -1, -1, 1], arm))
     return arms
 
 

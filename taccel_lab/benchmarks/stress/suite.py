@@ -19,7 +19,7 @@ from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
 from taccel_lab.benchmarks.stress.runner import SECONDS, CaseId, run_all, run_case
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_known, require_range
-from taccel_lab.report.page_text import markdown_table
+from taccel_lab.report.markdown import markdown_table
 
 GOOD = ("converged", "refused")
 """Outcomes that are right."""

@@ -10,7 +10,7 @@ import math
 import sys
 from pathlib import Path
 
-from taccel_lab.report.page_text import markdown_table, with_parts
+from taccel_lab.report.markdown import markdown_table, with_parts
 from taccel_lab.studies.presses.standard import StandardPress
 from taccel_lab.studies.spec.readings import described
 

@@ -8,13 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.linear.cg.block_cg import BlockCG
 from taccel_lab.ipc.linear.cg.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.coarse.matrix import CoarseCorrection, coarse_parts
 from taccel_lab.ipc.linear.coarse.space import MODES
-from taccel_lab.ipc.linear.problem.row_plan import plan_rows
+from taccel_lab.ipc.linear.problem.row_plan import connected_rows, neighbour_clusters, plan_rows
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
 from taccel_lab.scene import Material, Scene
@@ -135,3 +137,23 @@ def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
     for part in found:
         assert len(set(np.searchsorted(starts, part, side="right"))) == 1
     assert sorted(np.concatenate(found)) == list(range(90, 590))
+
+
+def test_clusters_are_halves_in_breadth_first_order() -> None:
+    """Against scipy's graphs, on both parts of a bar that is cut through."""
+    pattern = bar(30)[0].pattern
+    coupled = csr_array(pattern.dense(np.ones((1, pattern.block_count, 3, 3)))[0][::3, ::3])
+    rows = np.arange(pattern.free_count)
+    rows = rows[rows % 29 != 14]  # All but one layer of 29.
+    count, label = connected_components(coupled[rows][:, rows])
+    found = connected_rows(pattern, rows)
+    assert count == len(found) == 2
+    for k, part in enumerate(found):
+        np.testing.assert_array_equal(part, rows[label == k])
+        near = coupled[part][:, part]
+        last = breadth_first_order(near, 0)[0][-1]
+        order = part[breadth_first_order(near, last)[0]]
+        cut = len(part) // 2
+        halves = neighbour_clusters(pattern, part, -(-len(part) // 2))
+        for half, expected in zip(halves, (order[:cut], order[cut:]), strict=True):
+            np.testing.assert_array_equal(half, np.sort(expected))

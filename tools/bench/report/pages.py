@@ -20,7 +20,7 @@ from taccel_lab.benchmarks.results import SCHEMA
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import build_scene
 from taccel_lab.files.atomic_file import atomic_file, write_by
-from taccel_lab.report.page_text import with_parts
+from taccel_lab.report.markdown import with_parts
 from taccel_lab.studies.report.figures import plain_log_ticks
 from taccel_lab.tasks.scene_picture import draw_bodies
 from tools.bench.report.sections import (

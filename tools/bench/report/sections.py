@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.report.page_text import markdown_table
+from taccel_lab.report.markdown import markdown_table
 
 Document = dict[str, Any]
 Results = dict[str, list[Document]]

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.geometry.connectivity import pieces_of_pairs
 from taccel_lab.model.matrix_pattern import BlockPattern
 
 SEGMENT_LENGTH = 12
@@ -122,10 +122,11 @@ def plan_rows(
 
 def connected_rows(pattern: BlockPattern, rows: np.ndarray) -> list[np.ndarray]:
     """The rows by what hangs together among themselves, as the nodes of a gel do."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, labels = connected_components(_graph(pattern)[rows][:, rows], directed=False)
-    return [rows[labels == label] for label in range(count)]
+    place = np.full(pattern.free_count, -1)
+    place[rows] = np.arange(len(rows))
+    pairs = place[np.stack([pattern.rows, pattern.columns], axis=1)]
+    labels = pieces_of_pairs(pairs[(pairs >= 0).all(axis=1)], len(rows))
+    return [rows[labels == label] for label in range(labels.max(initial=-1) + 1)]
 
 
 def neighbour_clusters(pattern: BlockPattern, rows: np.ndarray, size: int) -> list[np.ndarray]:
@@ -133,7 +134,7 @@ def neighbour_clusters(pattern: BlockPattern, rows: np.ndarray, size: int) -> li
 
     A part is halved along the breadth-first order from one of its ends, which keeps the cut short.
     """
-    graph = _graph(pattern)
+    starts, columns, _ = full_rows(pattern, np.arange(pattern.free_count))
     clusters: list[np.ndarray] = []
     waiting = [np.sort(rows)]
     while waiting:
@@ -142,29 +143,28 @@ def neighbour_clusters(pattern: BlockPattern, rows: np.ndarray, size: int) -> li
             if len(part):
                 clusters.append(part)
             continue
-        order = _from_end_to_end(graph[part][:, part])
+        ordered = _from_end_to_end(starts, columns, part)
         count = -(-len(part) // size)
         half = count // 2 * len(part) // count
-        waiting += [part[order[half:]], part[order[:half]]]
+        waiting += [ordered[half:], ordered[:half]]
     return [np.sort(cluster) for cluster in clusters]
 
 
-def _graph(pattern: BlockPattern) -> Any:
-    """Which rows are coupled, a scipy CSR array of both triangles."""
-    from scipy.sparse import csr_array
+def _from_end_to_end(starts: np.ndarray, columns: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """The rows of a part in breadth-first order from one of the farthest from its first."""
 
-    n = pattern.free_count
-    lower = csr_array((np.ones(pattern.block_count), pattern.columns, pattern.row_starts), (n, n))
-    return csr_array(lower + lower.T)
+    def order_from(row: int) -> np.ndarray:
+        left = np.zeros(len(starts) - 1, dtype=bool)
+        left[part] = True
+        left[row] = False
+        reached = [np.array([row])]
+        while len(reached[-1]):
+            sizes = np.diff(starts)[reached[-1]]
+            within = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+            found = columns[np.repeat(starts[reached[-1]], sizes) + within]
+            found = found[left[found]]
+            left[found] = False
+            reached.append(found[np.sort(np.unique(found, return_index=True)[1])])
+        return np.concatenate([*reached, part[left[part]]])
 
-
-def _from_end_to_end(graph: object) -> np.ndarray:
-    """Nodes in breadth-first order from one of the farthest from node 0."""
-    from scipy.sparse.csgraph import breadth_first_order
-
-    def order_from(node: int) -> np.ndarray:
-        found = breadth_first_order(graph, node, directed=False, return_predecessors=False)
-        count = graph.shape[0]  # type: ignore[attr-defined]
-        return np.concatenate([found, np.setdiff1d(np.arange(count), found)])
-
-    return order_from(int(order_from(0)[-1]))
+    return order_from(int(order_from(int(part[0]))[-1]))
