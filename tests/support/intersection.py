@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from taccel_lab.benchmarks.stress.balance import quadratic_gradients
 from taccel_lab.bodies.bodies import SoftBody
 from taccel_lab.bodies.crossings import crossing_pairs, point_triangle_distances, self_crossings
 from taccel_lab.bodies.mass_properties import winding_number
@@ -143,17 +144,10 @@ def _volume_ratios(nodes: np.ndarray) -> np.ndarray:
     one each, of ten nodes [n, 10, 3] at all samples, [n, sample]."""
     if nodes.shape[1] == 4:
         return np.linalg.det(nodes[:, 1:] - nodes[:, :1])[:, None]
-    # x = sum_c l_c (2 l_c - 1) x_c + sum_ab 4 l_a l_b x_ab, derived by each l.
-    by_each = np.zeros((len(_SAMPLES), 4, 10))
-    for corner in range(4):
-        by_each[:, corner, corner] = 4 * _SAMPLES[:, corner] - 1
-    for edge, (a, b) in enumerate(TET_EDGES):
-        by_each[:, a, 4 + edge] = 4 * _SAMPLES[:, b]
-        by_each[:, b, 4 + edge] = 4 * _SAMPLES[:, a]
-    weights = by_each[:, 1:] - by_each[:, :1]
-    origin = nodes[:, :1]
-    tangents = (weights.reshape(-1, 10) @ (nodes - origin)).reshape(len(nodes), len(_SAMPLES), 3, 3)
-    return np.linalg.det(tangents)
+    slopes = np.vstack([-np.ones(3), np.eye(3)])[None]
+    weights = quadratic_gradients(slopes, _SAMPLES)[0].transpose(0, 2, 1).reshape(-1, 10)
+    tangents = weights @ (nodes - nodes[:, :1])
+    return np.linalg.det(tangents.reshape(len(nodes), len(_SAMPLES), 3, 3))
 
 
 def _bent(nodes: np.ndarray) -> np.ndarray:

@@ -129,12 +129,10 @@ class SoftForces:
         self.volumes = np.linalg.det(edges) / 6
         slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
         """Gradients of the barycentric coordinates [tet, 4, 3]."""
-        self.gradients = (
-            _quadratic_gradients(slopes, _POINTS) if self.quadratic else slopes[:, None]
-        )
+        self.gradients = quadratic_gradients(slopes, _POINTS) if self.quadratic else slopes[:, None]
         """Gradients of the shape functions at the points [tet, point, node, 3]."""
         self.guarded_gradients = (
-            _quadratic_gradients(slopes, _THIRDS / 3) if self.quadratic else None
+            quadratic_gradients(slopes, _THIRDS / 3) if self.quadratic else None
         )
         count = len(self.tets)
         material = body.material
@@ -191,7 +189,7 @@ class SoftForces:
         return total
 
 
-def _quadratic_gradients(slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
+def quadratic_gradients(slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Gradients of the ten shape functions at barycentric points [q, 4]: [tet, q, 10, 3]."""
     corners = (4 * points - 1)[None, :, :, None] * slopes[:, None]
     middles = [
