@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.benchmarks.stress.gaps import closest_on_edges, part_along
 from taccel_lab.ipc.contact.collision_lists import (
     EDGE_EDGE,
     POINT_EDGE,
@@ -128,7 +129,7 @@ def _closest_weights(kinds: Array, corners: Array) -> Array:
         of_kind = kinds == kind
         weights[of_kind, 1:] = -fill(*(p[of_kind] for p in (a, b, c, d)))
     edges = kinds == EDGE_EDGE
-    s, t = _on_edges(*(p[edges] for p in (a, b, c, d)))
+    s, t, _ = closest_on_edges(corners[edges, :2], corners[edges, 2:])
     weights[edges] = np.column_stack([1 - s, s, t - 1, -t])
     single = ~np.isin(kinds, (POINT_TRIANGLE, POINT_EDGE, EDGE_EDGE))
     weights[single, 1] = -1.0
@@ -139,13 +140,9 @@ def _dot(a: Array, b: Array) -> Array:
     return np.einsum("pj,pj->p", a, b)
 
 
-def _ratio(a: Array, b: Array) -> Array:
-    return np.clip(a / np.where(b > 0, b, 1.0), 0.0, 1.0)
-
-
 def _on_edge(p: Array, a: Array, b: Array, _: Array) -> Array:
     """Weights (a, b, 0) of the point of the edge that is closest to p."""
-    t = _ratio(_dot(p - a, b - a), _dot(b - a, b - a))
+    t = part_along(p - a, b - a)
     return np.column_stack([1 - t, t, np.zeros_like(t)])
 
 
@@ -167,17 +164,6 @@ def _on_triangle(p: Array, a: Array, b: Array, c: Array) -> Array:
         best[better] = 0.0
         best[better, i], best[better, j] = on_edge[better, 0], on_edge[better, 1]
     return best
-
-
-def _on_edges(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
-    """Parameters of the closest points of the edges ab and cd."""
-    u, v, r = b - a, d - c, a - c
-    uu, vv, uv, ur, vr = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, r), _dot(v, r)
-    s = _ratio(uv * vr - ur * vv, uu * vv - uv**2)
-    t = (uv * s + vr) / np.where(vv > 0, vv, 1.0)
-    clipped = np.clip(t, 0.0, 1.0)
-    s = np.where(t == clipped, s, _ratio(clipped * uv - ur, uu))
-    return s, clipped
 
 
 def _mollifier(kinds: Array, corners: Array, thresholds: Array) -> tuple[Array, Array, Array]:

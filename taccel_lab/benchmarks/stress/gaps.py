@@ -115,7 +115,7 @@ class SurfacePairs:
     ) -> tuple[np.ndarray, ...]:
         a, b = self._candidates(x, touch, self.edges, self.edges, margin)
         a, b = a[a < b], b[a < b]
-        distance = edge_edge_distances(x[self.edges[a]], x[self.edges[b]])
+        distance = closest_on_edges(x[self.edges[a]], x[self.edges[b]])[2]
         return a, b, self.edges[a, 0], self.edges[b, 0], distance
 
     def _points_to_planes(self, x: np.ndarray, touch: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -126,21 +126,31 @@ class SurfacePairs:
         return node, plane, node, plane, distance
 
 
-def edge_edge_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Distance of each segment [n, 2, 3] from its partner [n, 2, 3] [m], shape [n]."""
+def closest_on_edges(
+    first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points at which segments [n, 2, 3] come closest to their partners [n, 2, 3], as parts of
+    their lengths from 0 to 1, and the distance there [m]; each of shape [n]."""
     p, q = first[:, 0], second[:, 0]
     u, v = first[:, 1] - p, second[:, 1] - q
-    best = np.full(len(p), np.inf)
-    for point, origin, edge in ((p, q, v), (first[:, 1], q, v), (q, p, u), (second[:, 1], p, u)):
-        offset = point - origin
-        t = np.clip((offset * edge).sum(1) / (edge * edge).sum(1), 0, 1)
-        best = np.minimum(best, np.linalg.norm(offset - t[:, None] * edge, axis=1))
-    # Inside both segments: where the common normal meets them.
+    start, end = np.zeros(len(p)), np.ones(len(p))
     normal = np.cross(u, v)
-    size_sq = (normal * normal).sum(1)
-    safe = np.where(size_sq > 0, size_sq, 1.0)
-    s = (np.cross(q - p, v) * normal).sum(1) / safe
-    t = (np.cross(q - p, u) * normal).sum(1) / safe
-    cross = (size_sq > 0) & (s > 0) & (s < 1) & (t > 0) & (t < 1)
-    line = np.abs(((q - p) * normal).sum(1)) / np.sqrt(safe)
-    return np.where(cross, np.minimum(best, line), best)
+    pairs = (
+        (start, part_along(p - q, v)),
+        (end, part_along(p + u - q, v)),
+        (part_along(q - p, u), start),
+        (part_along(q + v - p, u), end),
+        # Inside both: where the common normal meets them.
+        (part_along(np.cross(q - p, v), normal), part_along(np.cross(q - p, u), normal)),
+    )
+    s, t = np.stack(pairs, axis=1)
+    off = p + s[..., None] * u - q - t[..., None] * v
+    distance = np.linalg.norm(off, axis=-1)
+    best = distance.argmin(axis=0), np.arange(len(p))
+    return s[best], t[best], distance[best]
+
+
+def part_along(offset: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Parts of vectors ``along`` [n, 3] at which offsets [n, 3] stand, cut to 0 to 1, shape [n]."""
+    length_sq = (along * along).sum(axis=1)
+    return np.clip((offset * along).sum(axis=1) / np.where(length_sq > 0, length_sq, 1.0), 0.0, 1.0)

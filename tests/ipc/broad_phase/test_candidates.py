@@ -17,7 +17,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.benchmarks.measure import MemoryMeter
-from taccel_lab.benchmarks.stress.gaps import edge_edge_distances
+from taccel_lab.benchmarks.stress.gaps import closest_on_edges
 from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.broad_phase.candidates import Candidates
@@ -250,7 +250,7 @@ class Gels:
         found = []
         for first, second, distances in (
             (n, f, point_triangle_distances(x[n], x[faces[f]])),
-            (a, b, edge_edge_distances(x[edges[a]], x[edges[b]])),
+            (a, b, closest_on_edges(x[edges[a]], x[edges[b]])[2]),
         ):
             pairs = np.column_stack([first, second])[distances < MARGIN]
             found.append(set(map(tuple, pairs.tolist())))
@@ -354,7 +354,7 @@ class Bench:
                     if k == 0:
                         distance = point_triangle_distances(now[first], now[faces[second]])
                     else:
-                        distance = edge_edge_distances(now[edges[first]], now[edges[second]])
+                        distance = closest_on_edges(now[edges[first]], now[edges[second]])[2]
                     least = np.minimum(least, distance)
                 assert {tuple(pair) for pair in pairs[least < REACH]} <= mine[env][k]
                 self.near += int((least < REACH).sum())
