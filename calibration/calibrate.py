@@ -17,8 +17,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale, with_session
-from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
-from taccel_lab.calibration.calibration_page import MAPS, calibration_page
+from taccel_lab.calibration.block import Block
+from taccel_lab.calibration.blocks import HOMES, block_named
+from taccel_lab.calibration.calibration_page import MAPS, calibration_page, telling_first
 from taccel_lab.calibration.camera.rectification import (
     LEFT_OUT,
     RectificationMaps,
@@ -48,17 +49,7 @@ from taccel_lab.summary import Summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.background.result import BackgroundCalibration
-    from taccel_lab.calibration.camera.result import CameraCalibration
-    from taccel_lab.calibration.color.result import ColorCalibration
-    from taccel_lab.calibration.depth.result import DepthCalibration
-    from taccel_lab.calibration.markers.result import MarkerCalibration
-    from taccel_lab.calibration.material.result import MaterialCalibration
-    from taccel_lab.calibration.normals.result import NormalCalibration
     from taccel_lab.calibration.result import BlockResult
-    from taccel_lab.calibration.scale.result import ScaleCalibration
-
-_MEASURE_SCALE = ("camera", "scale")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -73,7 +64,7 @@ class Calibration(Summary):
     captures: CaptureFolder
     """What was captured, as the blocks saw it: rectified where a board lay on the gel."""
     blocks: tuple[BlockOutcome, ...]
-    """Outcomes in the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
+    """Outcomes in the order of ``taccel_lab.calibration.blocks``."""
     results: Mapping[str, BlockResult] = field(default_factory=dict)
     """What each block found, by its name; without those that an earlier run had finished."""
     maps: RectificationMaps | None = None
@@ -86,47 +77,11 @@ class Calibration(Summary):
     unfinished: UnfinishedCalibration | None = None
     """Where blocks were kept as they were finished."""
 
-    @property
-    def camera(self) -> CameraCalibration:
-        """Lens and plane; these and the following raise InputError where the block is not done."""
-        return self._result("camera")
-
-    @property
-    def scale(self) -> ScaleCalibration:
-        """Millimetres of a pixel."""
-        return self._result("scale")
-
-    @property
-    def background(self) -> BackgroundCalibration:
-        """The untouched sensor."""
-        return self._result("background")
-
-    @property
-    def color(self) -> ColorCalibration:
-        """Calibration from slopes to colours; ``color.score`` is that of the held-out presses."""
-        return self._result("color")
-
-    @property
-    def normals(self) -> NormalCalibration:
-        """Calibration from colours to slopes."""
-        return self._result("normals")
-
-    @property
-    def depth(self) -> DepthCalibration:
-        """Calibration from grey to depth."""
-        return self._result("depth")
-
-    @property
-    def markers(self) -> MarkerCalibration:
-        """Dots of the gel."""
-        return self._result("markers")
-
-    @property
-    def material(self) -> MaterialCalibration:
-        """Stiffness and friction."""
-        return self._result("material")
-
-    def _result(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:
+        """Return what a block found, by its name: ``calibration.color.score``; InputError where it
+        is not done."""
+        if name not in HOMES:
+            raise AttributeError(f"a calibration has no {name!r}")
         if name in self.results:
             return self.results[name]
         ended = {o.name: f"{o.state}, {o.message}" for o in self.blocks}
@@ -154,7 +109,7 @@ class Calibration(Summary):
         return tuple(outcome for outcome in self.blocks if outcome.is_unfit)
 
     def plot(self, block: str | None = None) -> Figure:
-        """Draw the first figure of a block's page, of the colours' where ``block`` is None.
+        """Draw the first figure of a block's page, of the most telling where ``block`` is None.
 
         Raises:
             InputError: No such block was fitted, or none has a figure.
@@ -162,8 +117,7 @@ class Calibration(Summary):
         pages = {o.name: o.page for o in self.blocks if o.page is not None}
         if block is not None and block not in pages:
             raise InputError(f"{block!r} was not fitted{unknown(block, pages, they_are='allowed')}")
-        first = "color" if block is None else block
-        order = sorted(pages, key=lambda name: name != first) if block is None else [first]
+        order = telling_first(pages) if block is None else [block]
         return first_figure(pages[name] for name in order)
 
     def page(self, report: Path) -> Page:
@@ -225,16 +179,16 @@ def _calibrate(
     if unfinished is not None:
         key = calibration_key(raw, profiles.final, only, options)
         kept = UnfinishedCalibration.open(unfinished, key)
-    ready = _readiness(capture_check(with_measured_scale(folder, profiles.basis), progress))
+    known = with_measured_scale(folder, profiles.basis)
+    ready = _readiness(capture_check(known, progress, only))
     outcomes: list[BlockOutcome] = []
     results: dict[str, BlockResult] = {}
     maps, rectified, notes = None, None, ()
-    on_gel = any(board.entry.on_gel for board in raw.boards)
     if kept is not None and kept.profiles is not None:
-        profiles = kept.profiles
+        profiles, maps = kept.profiles, kept.maps
     for block in chosen:
         state, message = ready[block.name]
-        if block.name == "scale" and rectified is not None:
+        if block.measures_scale and rectified is not None:
             state, message = BlockState.SKIPPED, "the board on the gel gave the scale"
         if state is not None:
             outcomes.append(BlockOutcome(block.name, state, message))
@@ -242,20 +196,19 @@ def _calibrate(
         if kept is not None and block.name in kept.outcomes:
             outcome, result = kept.outcomes[block.name], None
         else:
-            if block.name not in _MEASURE_SCALE:
+            if not block.measures_scale:
                 folder = with_measured_scale(folder, profiles.basis)
             outcome, result, profiles = _fit(block, folder, profiles, options, progress)
         if rectified is not None:  # In a folder that goes: the user knows what it was made of.
             known = outcome.message.replace(str(folder.root), str(raw.root))
             outcome = replace(outcome, message=known)
-        if block.name == "camera" and on_gel and outcome.state is BlockState.DONE:
-            maps = result.maps() if result is not None else kept and kept.maps
         if result is not None:
             results[block.name] = result
+            maps = maps or result.rectification
         if kept is not None and block.name not in kept.outcomes:
             outcome = kept.add(outcome, profiles, maps)
         outcomes.append(outcome)
-        if block.name == "camera" and maps is not None and raw.background is not None:
+        if maps is not None and rectified is None and raw.background is not None:
             rectified = TemporaryDirectory(prefix="taccel_lab_")
             place = Path(rectified.name) / "captures"
             left_out = rectify_captures(raw, maps, place)
@@ -273,10 +226,10 @@ def _calibrate(
     )
 
 
-def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[CalibrationBlock]:
+def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[Block]:
     for name in (*only, *options):
-        require_known("block", name, [block.name for block in BLOCKS])
-    return [block for block in BLOCKS if not only or block.name in only]
+        require_known("block", name, list(HOMES))
+    return [block_named(name) for name in HOMES if not only or name in only]
 
 
 def _readiness(check: CaptureCheck) -> dict[str, tuple[BlockState | None, str]]:
@@ -300,7 +253,7 @@ def _readiness(check: CaptureCheck) -> dict[str, tuple[BlockState | None, str]]:
 
 
 def _fit(
-    block: CalibrationBlock,
+    block: Block,
     folder: CaptureFolder,
     profiles: Profiles,
     options: Mapping[str, Any],

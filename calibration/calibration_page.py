@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from taccel_lab.calibration.blocks import block_named
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.calibration.remarks import BLOCK
 from taccel_lab.calibration.unfinished import BlockOutcome
@@ -19,8 +20,6 @@ from taccel_lab.report.page import PAGE, REPORT, Page, Table
 
 MAPS = "maps.npz"
 """File of the maps beside the page."""
-_SHOWN_FIRST = ("color", "normals", "depth", "markers", "camera", "material", "background", "scale")
-"""Blocks in the order in which their first picture says most of the whole."""
 
 
 def calibration_page(profile: SensorProfile, blocks: Sequence[BlockOutcome], report: Path) -> Page:
@@ -35,8 +34,7 @@ def calibration_page(profile: SensorProfile, blocks: Sequence[BlockOutcome], rep
     written = {o.name: read_json(report / o.name / REPORT) for o in blocks if _is_in(report, o)}
     pictures = [
         Picture(f"{name}_first", (report / name / found["file"]).read_bytes, found["caption"])
-        for name in _SHOWN_FIRST
-        if name in written
+        for name in telling_first(written)
         for found in written[name]["pictures"][:1]
     ][:1]
     unfit = [
@@ -52,6 +50,11 @@ def calibration_page(profile: SensorProfile, blocks: Sequence[BlockOutcome], rep
         figures={**page.figures, "blocks": [o.figures() for o in blocks]},
         links=[Link("maps of the rectification", MAPS)] if (report / MAPS).is_file() else (),
     )
+
+
+def telling_first(names: Iterable[str]) -> list[str]:
+    """Names of blocks, that first whose picture says most of the whole."""
+    return sorted(names, key=lambda name: -block_named(name).telling)
 
 
 def _is_in(report: Path, outcome: BlockOutcome) -> bool:

@@ -2,8 +2,8 @@
 """What calibrations and checks can remark: each kind has a code, a severity and one sentence.
 
 The kinds of a room are in its own table, ``calibration/<room>/remarks.py``, or, where there are
-few, with the fit that remarks them (``fit.py``); here are those that several remark alike. Code
-that finds something calls the kind with the figures of its sentence::
+few, with what remarks them (``check.py``, ``fit.py``); here are those that several remark alike.
+Code that finds something calls the kind with the figures of its sentence::
 
     FEW_FRAMES = warning("few_frames", "{count} frames: ...")
     remarks.append(FEW_FRAMES(count=3))
@@ -102,7 +102,9 @@ def remark_kinds(*packages: ModuleType) -> list[tuple[str, RemarkKind]]:
     for package in packages:
         rooms = [module.name for module in pkgutil.iter_modules(package.__path__) if module.ispkg]
         places = [("several", "remarks")]
-        places += [(room, f"{room}.{name}") for room in rooms for name in ("remarks", "fit")]
+        places += [
+            (room, f"{room}.{name}") for room in rooms for name in ("remarks", "check", "fit")
+        ]
         for room, place in places:
             name = f"{package.__name__}.{place}"
             if importlib.util.find_spec(name) is not None:

@@ -76,6 +76,11 @@ class BlockResult(Summary):
         same."""
         return self
 
+    @property
+    def rectification(self) -> Any:
+        """``RectificationMaps`` to the images that later blocks see; None where they are raw."""
+        return None
+
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """The verdict, and at most ``MOST_SHOWN`` figures."""
         single = [

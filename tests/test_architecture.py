@@ -180,9 +180,12 @@ def test_what_the_page_names_is_there() -> None:
 
 
 def test_every_block_of_a_calibration_has_the_same_shape() -> None:
-    from taccel_lab.calibration.blocks import BLOCKS
+    from taccel_lab.calibration.blocks import HOMES, all_blocks
 
-    for block in BLOCKS:
+    blocks = all_blocks()
+    assert [block.name for block in blocks] == list(HOMES)
+    for block in blocks:
+        assert block.home == HOMES[block.name]
         assert callable(block.describe)
         fit = ast.parse(Path(inspect.getfile(block.verb)).read_text(encoding="utf-8"))
         verb = next(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.background import remarks
+from taccel_lab.calibration.background.options import BackgroundOptions
 from taccel_lab.calibration.background.perturbation import spread_of_units
 from taccel_lab.calibration.background.result import (
     BackgroundCalibration,
@@ -41,14 +42,6 @@ GRAIN_SHARE = 1 / 40
 """What is smooth over more than this part of the shorter side is no grain."""
 MIN_SEEN_FRAMES = 3
 """Frames that have to show a new speck."""
-
-
-@dataclass(frozen=True)
-class BackgroundOptions:
-    """What is compared besides the frames of the folder."""
-
-    units: tuple[SensorProfile, ...] = ()
-    """Profiles of several units of one design, the one at hand among them where it is known."""
 
 
 def calibrate_background(

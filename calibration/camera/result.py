@@ -114,6 +114,11 @@ class CameraCalibration(BlockResult):
         assert self.intrinsics is not None
         return lens_maps(self.intrinsics)
 
+    @property
+    def rectification(self) -> RectificationMaps | None:
+        """Maps to the gel's pixel grid; None without a board on the gel."""
+        return None if self.on_gel is None else self.maps()
+
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` with the camera block (boards on the gel) and the optics block (views)."""
         if self.on_gel is not None:

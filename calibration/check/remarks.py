@@ -230,29 +230,3 @@ SIZE_OTHER = warning(
     "mm_per_px_y), and give later ones the same framing",
     ("scale", "background", "color", "normals", "depth"),
 )
-
-# Boards and edges.
-BOARD_NOT_FOUND = error("board_not_found", "{board} was not found: {reason}")
-BOARD_WITHOUT_PITCH = error("board_without_pitch", "{board} on the gel needs pitch_mm for a scale")
-
-# Markers.
-NO_REST_FRAME = error("no_rest_frame", "{reason}", ("markers", "scale"))
-VIDEO_SIZE = error(
-    "video_size",
-    "{video}: frames of {width}x{height} px, the image at rest has {rest_width}x{rest_height} px",
-    ("markers",),
-)
-NO_MOTION = warning("no_motion", "{video}: nothing moves in {count} frames", ("markers",))
-
-# Force records.
-TOOL_UNKNOWN = error(
-    "tool_unknown",
-    "{record}: the radius of the {tool} is missing; give tool = {{ kind, radius_mm }}",
-    ("material",),
-)
-MODULUS_UNUSUAL = warning(
-    "modulus_unusual",
-    "{record}: by Hertz the gel would have {modulus:.3g} MPa, gels on a window look {low:g} to "
-    "{high:g} MPa: check the units of force and depth and the tool's radius",
-    ("material",),
-)

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.blocks import HOMES, block_named
 from taccel_lab.calibration.capture.coverage import coverage_map, empty_cells
 from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
@@ -17,12 +18,7 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.ball_sizes import ball_sizes, check_diameter
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
-from taccel_lab.calibration.check.content import (
-    BlockStatus,
-    block_statuses,
-    check_content,
-    check_targets,
-)
+from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
 from taccel_lab.calibration.check.pictures import check_pictures, check_tone
@@ -57,28 +53,35 @@ RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 @dataclass(frozen=True)
-class CaptureCheck:
-    """What the check of one folder found."""
+class PressCheck:
+    """What ball presses and their background show, whichever block they are for."""
 
-    folder: CaptureFolder
-    findings: tuple[Remark, ...]
-    """Worst first."""
-    blocks: tuple[BlockStatus, ...]
+    findings: tuple[Remark, ...] = ()
     frames: tuple[FrameFigures, ...] = ()
     grid: PixelGrid | None = None
     """Grid of the presses; its scale is made up where none is stated."""
     background: BackgroundCheck | None = None
-    notes: tuple[str, ...] = field(default_factory=tuple)
-
-    @property
-    def usable(self) -> bool:
-        """Whether nothing stops what the captures are there for."""
-        return all(finding.severity != Severity.ERROR for finding in self.findings)
+    grey: bool | None = None
+    """Whether grey levels stand for depth; None where nothing tells."""
 
     @property
     def rejected_labels(self) -> frozenset[str]:
         """Presses whose labels their images reject."""
         return frozenset() if self.grid is None else rejected_labels(self.frames, self.grid)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureCheck(PressCheck):
+    """What the check of one folder found, worst first, with what its presses show."""
+
+    folder: CaptureFolder
+    blocks: tuple[BlockStatus, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing stops what the captures are there for."""
+        return all(finding.severity != Severity.ERROR for finding in self.findings)
 
     def figures(self) -> dict[str, Any]:
         """Everything found, ready for JSON."""
@@ -133,11 +136,13 @@ class CaptureCheck:
 def check_captures(
     folder: CaptureFolder,
     *,
+    only: Sequence[str] = (),
     notes: tuple[str, ...] = (),
     progress: Progress = silent,
     fit_ball: bool = True,
 ) -> CaptureCheck:
-    """Judge everything in a folder; ``notes`` are what an importer assumed.
+    """Judge everything in a folder, or what concerns the blocks ``only``; ``notes`` are what an
+    importer assumed.
 
     ``fit_ball`` holds the ball's radius against the slopes that colours show, which takes several
     seconds; a grey sensor shows none.
@@ -147,47 +152,58 @@ def check_captures(
     """
     with naming(folder.source):
         facts = sensor_facts(folder.sensor, folder.design)
-    findings = [*check_content(folder), *check_targets(folder)]
+    blocks = tuple(block_named(name) for name in only or HOMES)
+    findings = check_content(folder)
+    for block in blocks:  # Two may look at the same captures.
+        findings += [finding for finding in block.check(folder) if finding not in findings]
     if facts is None:
         findings.append(remarks.SENSOR_UNKNOWN(sensor=folder.sensor))
     if folder.assumed:
         findings.append(
             remarks.ASSUMED(count=len(folder.assumed), assumed=in_words(folder.assumed))
         )
-    others = folder.boards or folder.edges or folder.markers or folder.records
-    frames: list[FrameFigures] = []
-    grid, background = None, None
-    grey = None if facts is None else facts.is_grey
-    if folder.presses:
-        try:
-            background = check_background(folder)
-        except InputError as fault:
-            findings.append(remarks.NO_BACKGROUND(instead=str(fault)))
-    if background is not None:
-        findings += background.findings
-        grid = press_grid(folder, background.image)
-        frames = measure_presses(
-            folder.presses, background.image, folder.mask, grid, progress, "grey" if grey else None
-        )
-        findings += press_findings(folder, frames, background, grid, facts)
-        if grey is not True:
-            grey = is_grey(frames, thumb(background.image))
-        spoilt = grey or any(finding.code in SPOILS_SLOPES for finding in findings)
-        if fit_ball and not spoilt:
-            findings += check_slopes(folder, background.image)
-    elif folder.background is None and not folder.presses and not others:
+    presses = folder.once.of(
+        ("presses", fit_ball), lambda: _check_presses(folder, facts, progress, fit_ball)
+    )
+    findings += presses.findings
+    targets = folder.boards or folder.edges or folder.markers or folder.records
+    if folder.background is None and not folder.presses and not targets:
         findings.append(remarks.EMPTY())
     # Of equal weight, those about most images first.
     findings.sort(key=lambda finding: (-RANK[finding.severity], -len(finding.frames)))
     return CaptureCheck(
-        folder=folder,
         findings=tuple(findings),
-        blocks=tuple(block_statuses(folder, findings, grey=grey)),
-        frames=tuple(frames),
-        grid=grid,
-        background=background,
+        frames=presses.frames,
+        grid=presses.grid,
+        background=presses.background,
+        grey=presses.grey,
+        folder=folder,
+        blocks=tuple(block_statuses(folder, blocks, findings, grey=presses.grey)),
         notes=notes,
     )
+
+
+def _check_presses(
+    folder: CaptureFolder, facts: SensorFacts | None, progress: Progress, fit_ball: bool
+) -> PressCheck:
+    grey = None if facts is None else facts.is_grey
+    if not folder.presses:
+        return PressCheck(grey=grey)
+    try:
+        background = check_background(folder)
+    except InputError as fault:
+        return PressCheck((remarks.NO_BACKGROUND(instead=str(fault)),), grey=grey)
+    grid = press_grid(folder, background.image)
+    frames = measure_presses(
+        folder.presses, background.image, folder.mask, grid, progress, "grey" if grey else None
+    )
+    findings = [*background.findings, *press_findings(folder, frames, background, grid, facts)]
+    if grey is not True:
+        grey = is_grey(frames, thumb(background.image))
+    spoilt = grey or any(finding.code in SPOILS_SLOPES for finding in findings)
+    if fit_ball and not spoilt:
+        findings += check_slopes(folder, background.image)
+    return PressCheck(tuple(findings), tuple(frames), grid, background, grey)
 
 
 def press_grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:
@@ -249,18 +265,23 @@ def _ball_findings(
 def capture_findings(
     folder: CaptureFolder, block: str, progress: Progress = silent
 ) -> list[Remark]:
-    """Findings of ``taccel-lab capture check`` that name ``block``, worst first.
+    """Findings of ``taccel-lab capture check`` that name ``block``, worst first; captures of other
+    blocks are not looked at.
 
     A fit to captures that contradict themselves can leave small residuals: the check holds them
     against the ball, the sensor and each other.
     """
-    found = capture_check(folder, progress)
+    found = capture_check(folder, progress, (block,))
     return [finding for finding in found.findings if block in finding.blocks]
 
 
-def capture_check(folder: CaptureFolder, progress: Progress = silent) -> CaptureCheck:
-    """The check of ``folder``, which its blocks share."""
-    return folder.once.of("check", lambda: check_captures(folder, progress=progress))
+def capture_check(
+    folder: CaptureFolder, progress: Progress = silent, only: Sequence[str] = ()
+) -> CaptureCheck:
+    """The check of ``folder`` for the blocks ``only``, or for all, made once of its captures."""
+    return folder.once.of(
+        ("check", tuple(only)), lambda: check_captures(folder, only=only, progress=progress)
+    )
 
 
 @contextmanager
@@ -280,16 +301,8 @@ def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
 
 
 def joined(findings: Sequence[Remark], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
-    """Findings, then remarks of the fit; where both have one thing to say, the graver one does.
-
-    A remark says what a finding says when it has its code, or that with the block before it:
-    ``normals_few_presses`` goes with ``few_presses``.
-    """
-    said = {code: RANK[finding.severity] for finding in findings for code in _codes(finding)}
+    """Findings, then remarks of the fit; where both say one thing, by its code, the graver does."""
+    said = {finding.code: RANK[finding.severity] for finding in findings}
     graver = [remark for remark in remarks if RANK[remark.severity] > said.get(remark.code, -1)]
     codes = {remark.code for remark in graver}
-    return (*(finding for finding in findings if not _codes(finding) & codes), *graver)
-
-
-def _codes(finding: Remark) -> set[str]:
-    return {finding.code, *(f"{block}_{finding.code}" for block in finding.blocks)}
+    return (*(finding for finding in findings if finding.code not in codes), *graver)

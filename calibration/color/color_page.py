@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.calibration.color.block import color_scores
 from taccel_lab.calibration.color.result import ColorCalibration, mean_bare
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.calibration.scores import block_scores
 from taccel_lab.exporters.taxim_table import TABLE_FILE, TableFile, write_table
 from taccel_lab.optics.image_measures import crop_slices
 from taccel_lab.report.page import Page, Table, picture
@@ -44,7 +44,7 @@ def color_page(result: ColorCalibration) -> Page:
         [*([_heldout(result)] if result.heldout else []), _coverage(result)],
         {"color": result.figures()},
         _files(result),
-        scores=block_scores("color", result.evidence.residuals),
+        scores=tuple(color_scores(result.evidence.residuals)),
     )
 
 

@@ -19,6 +19,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions, ColorTraining
 from taccel_lab.calibration.color.result import (
     ColorCalibration,
     HeldoutPress,
@@ -28,7 +29,6 @@ from taccel_lab.calibration.color.result import (
     score_heldout,
 )
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.press_options import ColorFitOptions, ColorOptions, ColorTraining
 from taccel_lab.calibration.remarks import (
     HELDOUT_ERROR,
     NOTHING_HELD_OUT,

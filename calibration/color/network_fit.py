@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from taccel_lab.calibration.press_options import ColorFitOptions
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
     PressFrame,

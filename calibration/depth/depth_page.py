@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.calibration.depth.block import depth_scores
 from taccel_lab.calibration.depth.result import DepthCalibration
-from taccel_lab.calibration.scores import block_scores
 from taccel_lab.printable import counted
 from taccel_lab.report.page import Page, Table, picture, sentence
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
@@ -52,7 +52,7 @@ def depth_page(result: DepthCalibration) -> Page:
         [presses],
         [_depths(result), _curve(result)],
         result.figures(),
-        scores=block_scores("depth_response", result.residuals()),
+        scores=tuple(depth_scores(result.residuals())),
     )
 
 

@@ -51,8 +51,8 @@ from taccel_lab.calibration.depth.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
+from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.calibration.remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,

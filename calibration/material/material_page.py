@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.calibration.material.block import material_scores
 from taccel_lab.calibration.material.indentation import HeldOut, force_interval_n
 from taccel_lab.calibration.material.likelihood import hull
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import Stiffness
-from taccel_lab.calibration.scores import block_scores
 from taccel_lab.printable import counted
 from taccel_lab.report.lead import Picture, Score
 from taccel_lab.report.page import Page, Table, picture
@@ -52,7 +52,7 @@ def material_page(result: MaterialCalibration) -> Page:
             _profiles(result.stiffness, open_held=bool(result.held())),
         ],
         result.figures(),
-        scores=[*_scores(result), *block_scores("material", result.stiffness.residuals())],
+        scores=[*_scores(result), *material_scores(result.stiffness.residuals())],
     )
 
 

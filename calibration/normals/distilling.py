@@ -16,9 +16,9 @@ import torch
 
 from taccel_lab.calibration.circles.ball_surface import layer_of
 from taccel_lab.calibration.normals.network_fit import InverseTraining
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.small_network_fit import Lesson, taught
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
-from taccel_lab.calibration.press_options import InverseFitOptions
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import ensemble_of

@@ -29,18 +29,14 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.distilling import distilled
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
+from taccel_lab.calibration.normals.options import InverseFitOptions, NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import KnownPress, with_reading_errors
 from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
-from taccel_lab.calibration.press_options import (
-    ColorFitOptions,
-    InverseFitOptions,
-    NormalOptions,
-    NormalTraining,
-)
 from taccel_lab.calibration.remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,

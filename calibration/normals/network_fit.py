@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from taccel_lab.calibration.normals.options import RIM_RADII, InverseFitOptions
 from taccel_lab.calibration.normals.samples import (
     KnownPress,
     NormalSamples,
@@ -29,7 +30,7 @@ from taccel_lab.calibration.normals.samples import (
     samples_of_presses,
 )
 from taccel_lab.calibration.normals.synthetic_presses import synthetic_samples
-from taccel_lab.calibration.press_options import RIM_RADII, UNTOUCHED_RADII, InverseFitOptions
+from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.calibration.response.training import (
     arrays_of,

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.normals.block import normal_scores
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.calibration.scores import block_scores
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.image_measures import crop_slices
 from taccel_lab.report.page import Page, Table, picture
@@ -45,7 +45,7 @@ def normals_page(result: NormalCalibration) -> Page:
         tables,
         pictures,
         result.figures(),
-        scores=block_scores("normals", result.evidence.residuals),
+        scores=tuple(normal_scores(result.evidence.residuals)),
     )
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch.nn.functional import silu
 
-from taccel_lab.calibration.press_options import InverseFitOptions
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.response.training import arrays_of, descend, one_thread, trainable
 from taccel_lab.networks.normal_settings import (
     SMALL,

@@ -86,7 +86,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
     )
 
     blocks = {
-        **calibrate.BLOCK_COMMANDS,
+        **calibrate.block_commands(),
         "all": calibrate_all.CalibrateAll,
         "force": calibrate.CalibrateForce,
         "refit": calibrate.CalibrateRefit,

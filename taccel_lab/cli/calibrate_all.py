@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.calibration.blocks import all_blocks
 from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.cli.calibration_outputs import CalibrationFiles, report_folder, require_outputs
 
@@ -20,12 +21,11 @@ if TYPE_CHECKING:
 class CalibrateAll(CalibrationFiles):
     """Fit every block that the captures allow and write one profile and one report.
 
-    The captures are checked first (taccel-lab capture check). Then camera, scale, background,
-    color, normals, depth, markers and material are fitted in this order. Blocks without captures
-    are skipped, and the report says what to capture. After a board on the gel the images
-    are rectified; the maps are in the report. Finished blocks are kept in <report>_unfinished,
-    where the same command continues after a crash. Exits with 1 when the captures of a block cannot
-    be used.
+    The captures are checked first (taccel-lab capture check), which names the blocks in the order
+    in which they are fitted then. Blocks without captures are skipped, and the report says what to
+    capture. After a board on the gel the images are rectified; the maps are in the report. Finished
+    blocks are kept in <report>_unfinished, where the same command continues after a crash. Exits
+    with 1 when the captures of a block cannot be used.
     """
 
     report: Path | None = None
@@ -74,12 +74,15 @@ class CalibrateAll(CalibrationFiles):
             raise SystemExit(1)
 
     def _options(self) -> dict[str, Any]:
-        from taccel_lab.calibration.press_options import ColorOptions, NormalOptions
+        """Options of the blocks that hold presses out."""
+        from taccel_lab.calibration.press_options import BallPressOptions
 
-        every, thickness = self.holdout_every, self.thickness
+        chosen = {"holdout_every": self.holdout_every, "thickness": self.thickness}
+        named = {block.name: block.options for block in all_blocks()}
         return {
-            "color": ColorOptions(holdout_every=every, thickness=thickness),
-            "normals": NormalOptions(holdout_every=every, thickness=thickness),
+            name: options(**chosen)
+            for name, options in named.items()
+            if options is not None and issubclass(options, BallPressOptions)
         }
 
 

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from tyro.conf import Positional
 
+from taccel_lab.calibration.block import Block, BlockWords, Files
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class CalibrationFiles:
     """What every calibration reads and writes."""
 
     captures: Positional[Path]
-    """Capture folder with captures.toml (docs/captures.md)."""
+    """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     out: Path
     """Profile folder to write."""
     base: Path | None = None
@@ -68,30 +68,14 @@ class CalibrationFiles:
 
 
 @dataclass(frozen=True)
-class BlockCommand(CalibrationFiles):
-    """Run one row of ``taccel_lab.calibration.blocks``: captures and a profile in, the extended
-    profile and a report out. A command with options of its fit inherits them."""
+class BlockCommand(CalibrationFiles, BlockWords):
+    """Run one block: captures and a profile in, the extended profile and a report out."""
 
-    @classmethod
-    def block_name(cls) -> str:
-        """``Calibrate`` and the name of the block is the name of its command."""
-        return cls.__name__.removeprefix("Calibrate").lower()
-
-    def check(self) -> None:
-        """Refuse options that cannot be used before anything is read."""
-
-    def options(self, base: SensorProfile) -> Any:
-        """Options of the fit that extends ``base``."""
-        return self
-
-    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
-        """Further files that were asked for, with what writes them."""
-        return {}
+    block: ClassVar[Block]
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
         from taccel_lab.calibration.base_profile import base_profile, with_session
-        from taccel_lab.calibration.blocks import block_named
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.cli.console import notes
         from taccel_lab.progress import stage_progress
@@ -99,14 +83,14 @@ class BlockCommand(CalibrationFiles):
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        block = block_named(self.block_name())
+        block = self.block
         folder = load_capture_folder(self.captures)
         with stage_progress(notes()) as progress:
             base = base_profile(self.base, folder)
-            options = None if block.options is None else self.options(base)
+            before = None if self.base is None else base
+            options = None if block.options is None else self.options(before)
             result = block.fit(folder, base, options, progress)
             page = block.page(result, folder)
-        before = None if self.base is None else base
         profile = with_session(before, result.apply_to(base), folder)
         saved = profile, self.out
         write_results(block.name, result, page, saved, report, self.json, self.files(result))
@@ -119,7 +103,7 @@ def write_results(
     saved: tuple[SensorProfile, Path],
     report: Path,
     as_json: bool,
-    files: Mapping[Path, Callable[[Path], None]] | None = None,
+    files: Files | None = None,
 ) -> None:
     """Save the extended profile and the report of a block, say the verdict with its remarks, and
     give the figures on standard output: as JSON, or the page's summary and first table.

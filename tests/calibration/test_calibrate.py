@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.background.fit import calibrate_background
-from taccel_lab.calibration.blocks import BLOCKS, block_named
+from taccel_lab.calibration.blocks import HOMES
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.check import run as block_findings
-from taccel_lab.calibration.press_options import ColorOptions
+from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.calibration.unfinished import BlockState
 from taccel_lab.errors import InputError
 from taccel_lab.files import images
@@ -47,23 +47,22 @@ def replace_fit(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Any], None]:
     """Lets a function fit the block of this name."""
 
     def replaced(name: str, fit: Any) -> None:
-        module = import_module(f"taccel_lab.calibration.{block_named(name).fitted_in}")
-        monkeypatch.setattr(module, f"calibrate_{name}", fit)
+        monkeypatch.setattr(f"taccel_lab.calibration.{name}.fit.calibrate_{name}", fit)
 
     return replaced
 
 
 @pytest.fixture
 def checked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Sources of the captures that are checked."""
+    """Sources of the captures whose presses are checked."""
     sources: list[str] = []
-    real = block_findings.check_captures
+    real = block_findings._check_presses
 
-    def counted(folder: CaptureFolder, **options: Any) -> Any:
+    def counted(folder: CaptureFolder, *options: Any) -> Any:
         sources.append(folder.source)
-        return real(folder, **options)
+        return real(folder, *options)
 
-    monkeypatch.setattr(block_findings, "check_captures", counted)
+    monkeypatch.setattr(block_findings, "_check_presses", counted)
     return sources
 
 
@@ -90,8 +89,8 @@ def test_a_block_loads_no_other() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     torch, *modules = done.stdout.split()
     assert torch == "False" and "taccel_lab.calibration.scale.fit" in modules
-    others = {block.fitted_in for block in BLOCKS} - {"scale.fit"}
-    assert not {f"taccel_lab.calibration.{name}" for name in others} & set(modules)
+    others = [home for name, home in HOMES.items() if name != "scale"]
+    assert not {one for home in others for one in (home, home.replace("block", "fit"))} & {*modules}
 
 
 @pytest.mark.thorough

@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check.run import capture_check
-from taccel_lab.cli.calibrate import CalibrateColor
+from taccel_lab.cli.calibrate import block_commands
 from taccel_lab.cli.profile import Export
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import read_table
@@ -36,7 +36,7 @@ def run(folder: Path, **changes: Any) -> Path:
     """A short fit over the base profile into a profile beside the captures."""
     out = folder.parent / "profile"
     values = {"base": folder.parent / "base", "steps": 5}
-    CalibrateColor(folder, out, **(values | changes)).run()
+    block_commands()["color"](folder, out, **(values | changes)).run()
     return out
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from taccel_lab import calibration, learning
-from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.blocks import HOMES
 from taccel_lab.calibration.remarks import RemarkKind, remark_kinds, remark_table
 from taccel_lab.report.remark import Severity
 
@@ -28,7 +28,7 @@ def test_kinds_are_sound(kind: RemarkKind) -> None:
     fields = {name: spec for _, name, spec, _ in string.Formatter().parse(kind.text) if name}
     assert all(name.isidentifier() for name in fields)
     assert not fields.keys() & {"frames", "blocks", "grave"}
-    assert set(kind.blocks) <= {block.name for block in BLOCKS}
+    assert set(kind.blocks) <= HOMES.keys()
     # Where a figure is a sentence, another one follows behind one stop.
     assert "}{" not in kind.text
     values: dict[str, Any] = {name: 1 if spec else "It is so." for name, spec in fields.items()}

@@ -160,6 +160,8 @@ def test_every_option_is_explained_and_every_command_prints_json() -> None:
         assert "json" in fields or words in ("bench", "view"), words
         for base in filter(dataclasses.is_dataclass, command.__mro__):
             assert base.__doc__, base
+            if base.__module__ == "types":
+                continue  # It is made of others, and has their fields.
             body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body
             for field, after in itertools.pairwise(body):
                 if isinstance(field, ast.AnnAssign) and "ClassVar" not in ast.unparse(field):

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.blocks import HOMES
+from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.cli.calibrate import BLOCK_COMMANDS
 from taccel_lab.errors import InputError
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.profile import load_profile, save_profile
@@ -37,8 +37,110 @@ def captures(tmp_path: Path) -> Path:
     return write_captures(tmp_path / "captures")
 
 
-def test_every_block_has_a_command() -> None:
-    assert {block.name for block in BLOCKS} == set(BLOCK_COMMANDS)
+TOY = {
+    "__init__.py": "",
+    "block.py": """
+from dataclasses import dataclass
+
+from taccel_lab.calibration.block import Block, BlockWords, Needs
+from taccel_lab.report.lead import Score
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyOptions:
+    every: int = 1
+    \"\"\"Presses that make one toy.\"\"\"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyWords(BlockWords, ToyOptions):
+    \"\"\"Count presses as toys.\"\"\"
+
+
+BLOCK = Block(
+    name="toy",
+    home=__name__,
+    words=ToyWords,
+    needs=lambda folder, grey: Needs(f"{len(folder.presses)} toys"),
+    checked_by="fit:check_toys",
+    fitted_by="fit:calibrate_toy",
+    shown_by="fit:toy_page",
+    choices="block:ToyOptions",
+    telling=9,
+    key="gel",
+    scores=lambda left: [Score("5", "toys", "counted", "every press")],
+)
+""",
+    "fit.py": """
+from dataclasses import dataclass
+
+from taccel_lab.calibration.remarks import warning
+from taccel_lab.calibration.result import BlockResult
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page
+
+FEW_TOYS = warning("few_toys", "{count} toys: press more", ("toy",))
+
+
+@dataclass(frozen=True)
+class ToyCalibration(BlockResult):
+    count: int
+    remarks: tuple = ()
+
+    def figures(self):
+        return {"toys": self.count}
+
+    def apply_to(self, profile):
+        return profile
+
+
+def calibrate_toy(folder, base, options, progress):
+    return ToyCalibration(len(folder.presses) // options.every)
+
+
+def toy_page(result):
+    picture = Picture("toys", lambda: b"PNG of toys", "All toys.")
+    return Page("Toys", f"{result.count} toys", pictures=[picture], figures=result.figures())
+
+
+def check_toys(folder):
+    return [FEW_TOYS(count=len(folder.presses))]
+""",
+}
+"""A block of somebody else: a folder, and one line where it is registered."""
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "outside" / "toy_block"
+    home.mkdir(parents=True)
+    for name, text in TOY.items():
+        (home / name).write_text(text)
+    monkeypatch.syspath_prepend(home.parent)
+    monkeypatch.setitem(HOMES, "toy", "toy_block.block")
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("toy")
+def test_a_block_is_added_by_its_folder_and_one_line(
+    captures: Path, tmp_path: Path, cli: Cli
+) -> None:
+    assert "Count presses as toys." in cli("calibrate --help").out
+    assert "Presses that make one toy." in cli("calibrate toy --help").out
+    status = cli.json("capture check", captures)
+    (toys,) = [block for block in status["blocks"] if "toy" in block["command"]]
+    assert (toys["found"], toys["readiness"]) == ("5 toys", "weak")
+    assert "5 toys: press more" in {finding["message"] for finding in status["findings"]}
+    out = tmp_path / "one"
+    assert cli.json("calibrate toy", captures, "--out", out, "--every", "2")["toy"] == {"toys": 2}
+    report = tmp_path / "all_report"
+    words = [captures, "--out", tmp_path / "all", "--only", "background", "toy"]
+    found = cli.json("calibrate all", *words)["blocks"]
+    states = {"background": "done", "toy": "done"}
+    assert {block["name"]: block["state"] for block in found} == states
+    html = (report / "report.html").read_text(encoding="utf-8")
+    assert 'href="toy/report.html"' in html and "All toys." in html and "every press" in html
+    assert calibrate(captures, only="toy", options={}).toy.count == 5
 
 
 @pytest.mark.thorough

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.photo import PressPhoto

@@ -15,7 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from taccel_lab.calibration.press_options import ColorFitOptions, DepthOptions, InverseFitOptions
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files import table_file
 from taccel_lab.files.documents import (

@@ -24,8 +24,8 @@ from taccel_lab.calibration.capture.importers import import_folders
 from taccel_lab.calibration.check import check_captures, check_page
 from taccel_lab.calibration.depth.depth_page import depth_page
 from taccel_lab.calibration.depth.fit import fit_depth
+from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.import_options import ImportOptions
-from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.scale_page import scale_page

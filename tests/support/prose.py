@@ -179,8 +179,8 @@ def _definition(root: Path, module: str, name: str) -> ast.ClassDef | ast.Functi
 def help_of(command: type) -> Iterator[str]:
     """Docstrings that ``--help`` of a command shows: its own, its options' and theirs."""
     for kind in command.__mro__:
-        if not dataclasses.is_dataclass(kind):
-            continue
+        if not dataclasses.is_dataclass(kind) or kind.__module__ == "types":
+            continue  # A command that is made of others says what they say.
         (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
         assert isinstance(tree, ast.ClassDef)
         for node in tree.body:

@@ -20,8 +20,8 @@ import torch
 
 from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.small_network_fit import Lesson, taught
-from taccel_lab.calibration.press_options import InverseFitOptions
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.reading.blocks import finest_px

@@ -132,16 +132,18 @@ def test_a_calibration_names_what_the_user_gave(captures, monkeypatch) -> None:
         seen.append(folder)
         raise InputError(f"{folder.root / 'background.png'} of {folder.source} is dark")
 
-    found = SimpleNamespace(apply_to=lambda base: base, maps=cropping_maps, remarks=())
+    found = SimpleNamespace(apply_to=lambda base: base, rectification=cropping_maps(), remarks=())
     found.scored = found
-    blocks = (
-        SimpleNamespace(name="camera", fit=lambda *_: found, page=lambda *_: None),
-        SimpleNamespace(name="background", fit=refuse),
-    )
+    fits = {"camera": lambda *_: found, "background": refuse}
+    blocks = {
+        name: SimpleNamespace(name=name, fit=fit, page=lambda *_: None, measures_scale=False)
+        for name, fit in fits.items()
+    }
     ready = dict.fromkeys(["camera", "background"], (None, ""))
     for name, stand_in in (("capture_check", None), ("_readiness", ready)):
         monkeypatch.setattr(whole, name, lambda *_, answer=stand_in: answer)
-    monkeypatch.setattr(whole, "BLOCKS", blocks)
+    monkeypatch.setattr(whole, "HOMES", blocks)
+    monkeypatch.setattr(whole, "block_named", blocks.__getitem__)
     calibration = whole.calibrate(captures)
     source = f"{captures}/captures.toml"
     assert calibration.blocks[1].message == f"{captures}/background.png of {source} is dark"

@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture.captures import CaptureSet, Frame
 from taccel_lab.calibration.check import check_captures
 from taccel_lab.calibration.depth.fit import calibrate_depth
 from taccel_lab.calibration.normals.fit import calibrate_normals
-from taccel_lab.calibration.press_options import NormalOptions
+from taccel_lab.calibration.normals.options import NormalOptions
 from taccel_lab.reading.reader import Reader
 from taccel_lab.report.remark import Severity
 from tests.calibration.depth import test_depth as grey

@@ -15,8 +15,9 @@ from taccel_lab.calibration import unfinished
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.network_fit import ColorSamples, fit_color_model, train
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.response.frame import CaptureScene, HeldoutSet
 from taccel_lab.calibration.unfinished import BlockOutcome, BlockState, UnfinishedCalibration
 from taccel_lab.errors import InputError

@@ -18,8 +18,8 @@ from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
+from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.press_options import ColorFitOptions, ColorOptions
 from taccel_lab.calibration.response.frame import HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.report.page import write_page

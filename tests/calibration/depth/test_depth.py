@@ -16,8 +16,8 @@ from taccel_lab.calibration.circles.grey import find_grey_contact
 from taccel_lab.calibration.depth import curve
 from taccel_lab.calibration.depth.depth_page import depth_page
 from taccel_lab.calibration.depth.fit import fit_depth
+from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.result import DepthCalibration
-from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256

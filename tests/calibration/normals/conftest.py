@@ -15,9 +15,10 @@ import torch
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.circles.ball_surface import BallSurface, ball_surface, layer_surfaces
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
 from taccel_lab.calibration.response.frame import HeldoutSet, SurfaceOf
 from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest

@@ -14,13 +14,14 @@ from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals import fit, score
 from taccel_lab.calibration.normals.fit import calibrate_normals, fit_normals
 from taccel_lab.calibration.normals.network_fit import TASK, TASK_AGAIN, InverseTraining
 from taccel_lab.calibration.normals.normals_page import normals_page
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import angle_between_deg, ball_center_px, ball_normals
-from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
 from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -20,12 +20,12 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals import samples
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import KnownPress, all_errors, circle_angle_rad, widened
 from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
-from taccel_lab.calibration.press_options import ColorFitOptions
 from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSet, PressFrame
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
