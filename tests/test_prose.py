@@ -21,6 +21,7 @@ from tests.support.prose import (
     public_docstrings,
     sentences,
 )
+from tests.support.quoted_names import Names
 
 ROOT = Path(__file__).parents[1]
 REMARKS = "remarks.md"
@@ -46,8 +47,13 @@ COMMANDS = {
 
 def of_sources(told: Callable[[str], Iterable[str]]) -> list[str]:
     """Findings about each file of ours."""
-    paths = [path for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")]
-    return [f"{path.relative_to(ROOT)}: {word}" for path in paths for word in told(read(path))]
+    found = ((path, word) for path in sources("py") for word in told(read(path)))
+    return [f"{path.relative_to(ROOT)}: {word}" for path, word in found]
+
+
+def sources(suffix: str) -> list[Path]:
+    """Files of ours with a suffix."""
+    return [path for folder in PACKAGES for path in (ROOT / folder).rglob(f"*.{suffix}")]
 
 
 def read(path: Path) -> str:
@@ -98,6 +104,23 @@ def test_docstrings_of_public_names_are_plain() -> None:
 @pytest.mark.thorough
 def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
     assert not of_sources(prepositions)
+
+
+@pytest.mark.thorough
+def test_names_that_docstrings_quote_exist() -> None:
+    files = (path for end in ("py", "pyi") for path in sources(end))
+    names = Names(ROOT, files)
+    assert len(names.quoted) > 3000
+    assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in names.missing()]
+
+
+def test_quoted_names_are_looked_for_where_they_should_be(tmp_path: Path) -> None:
+    quoted = "``Press.depth`` ``press.Press`` ``room`` ``wp.array`` ``Press.gone`` ``old.Press``"
+    code = f'"""{quoted}"""\nimport warp as wp\nclass Press:\n    depth: float = 1.0\n'
+    (tmp_path / "taccel_lab" / "room").mkdir(parents=True)
+    path = tmp_path / "taccel_lab" / "room" / "press.py"
+    path.write_text(code)
+    assert [name for _, name in Names(tmp_path, [path]).missing()] == ["Press.gone", "old.Press"]
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.py")), ids=lambda p: p.name)

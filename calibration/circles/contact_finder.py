@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the contact circles of ball presses in their images, without anybody clicking.
 
-1. The drift of the light is taken off (``frame_light``); what is left, smoothed, is the colour
+1. The drift of the light is taken off (``fit_light``); what is left, smoothed, is the colour
    change of the press (``color_change``).
 2. A disc that stands out gives a first circle (``first_circle``), the steepest drop of colour along
    rays from its centre says whether it is round.

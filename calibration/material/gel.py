@@ -6,7 +6,7 @@ so every press here is that of a gel of 1 MPa, and Young's modulus never needs a
 layers over a gel keep their ratio to it. Element, mesh, contact range and tolerance are those of
 ``taccel_lab.presses.physics``, which ``taccel-lab press`` presses with: what is fitted here comes
 out there. Signs and order of a record of points were checked when it was read
-(``capture.record_checks``).
+(``capture.records``).
 """
 
 from __future__ import annotations

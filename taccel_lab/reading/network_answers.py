@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the networks of a profile answer of blocks of pixels.
 
-A network maps the features of a pixel (``normal_features``) to a tilt, of which what it gives for
+A network maps the features of a pixel (``image_features``) to a tilt, of which what it gives for
 no change of colour at the same pixel is subtracted. Members of an ensemble give it as their mean,
 with the logarithm of the angle by which each expects to be wrong, joined with their disagreement.
 A small network that learnt to answer as they do, at a quarter of the work, reads first

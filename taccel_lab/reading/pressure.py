@@ -2,7 +2,7 @@
 r"""What presses a gel into the shape that was read: pressure, force, contact.
 
 The seen face is taken for the underside of a tool, wherever it is pressed in. A bonded layer of the
-profile's thickness, modulus and Poisson's ratio lies under it (``circles.bonded_layer``):
+profile's thickness, modulus and Poisson's ratio lies under it (``bonded_layer``):
 pressures push only, and act only where the layer meets the seen face. So a gel that sinks beside a
 contact needs no pressure there, and no training is needed.
 

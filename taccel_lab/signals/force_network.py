@@ -115,8 +115,8 @@ def mahalanobis(
 
 
 def color_reach(levels: torch.Tensor) -> torch.Tensor:
-    """How far changes of colour [levels], [n, 3, h, w], go along each of ``color_ways`` anywhere in
-    the image, means of 3 x 3 px: [n, 26]."""
+    """Farthest that changes of colour [levels], [n, 3, h, w], go along each of ``color_directions``
+    anywhere in the image, means of 3 x 3 px: [n, 26]."""
     import torch
     from torch.nn import functional
 

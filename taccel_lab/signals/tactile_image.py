@@ -4,7 +4,7 @@
 ``DeviceColorModel`` works on device arrays of many environments, without a copy; ``tactile_image``
 gives one image as a numpy array. Colours are those of ``ColorModel.predict_pixels`` but for
 rounding: FP32 on the CPU; on CUDA FP16 weights and activations in the hidden layers and an
-approximate tanh, hundredths of a grey level on average, which ``benchmarks/images.py`` measures.
+approximate tanh, hundredths of a grey level on average, which ``tools/bench/images.py`` measures.
 """
 
 from __future__ import annotations

@@ -63,8 +63,8 @@ class Tangent:
         Args:
             solver: Of a quasi-static scene of elastic gels, kinematic bodies and planes.
             state: The equilibrium; it stays as it is. The solver's lists of contacts become its.
-            moves: Motion of prescribed nodes [m], [env_count, node_count, 3]: ``rim_n`` is its
-                pull on the gels. None for none.
+            moves: Motion of prescribed nodes [m], [env_count, node_count, 3]: its pull on the
+                gels is added to the right-hand side. None for none.
             who: Environments to look at, bool, [env_count]; all when None.
             past: Whether Maxwell branches count with the past that they had in the last step.
 

@@ -173,7 +173,7 @@ def found_imposters(
     seed: int,
 ) -> list[Imposters]:
     """Images made of held-out ones that a user may give by mistake, and how many are found, by the
-    model or, before it, by what ``ForceReader`` asks of any image (``light.image_match``).
+    model or, before it, by what ``ForceReader`` asks of any image (``FrameJudge``).
 
     Markers, where the network sees them, stay as they are: only the image is wrong.
     """
