@@ -42,7 +42,7 @@ def bare_python(tmp_path: Path) -> Path:
     venv.create(made, symlinks=True)
     (packages,) = made.glob("lib/python*/site-packages")
     for package in (np, wp):
-        folder = Path(package.__file__).parent
+        folder = Path(package.__path__[0])
         (packages / folder.name).symlink_to(folder)
         if (libraries := folder.with_name(f"{folder.name}.libs")).is_dir():
             (packages / libraries.name).symlink_to(libraries)

@@ -11,7 +11,7 @@ import pytest
 from taccel_lab.benchmarks import press_accuracy
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.presses import PHYSICS, Accuracy
-from tests.support.bench import bench
+from tests.support.commands import run
 from tools.bench.report.sections import VERIFICATION
 
 
@@ -28,7 +28,7 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     ):
         monkeypatch.setattr(press_accuracy, name, value)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
-    assert bench([*words, "--tools", "ball 1.5"]) == 0
+    assert run("bench", *words, "--tools", "ball 1.5") == 0
     document = read_result(tmp_path / "press_accuracy.json")
     fast, asked = document["rows"]
     assert (fast["setting"], asked["setting"]) == ("fast", "3%")

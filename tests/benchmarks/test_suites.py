@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -23,8 +22,9 @@ from taccel_lab.benchmarks.results import (
 from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.cli.bench import COMMANDS, MOVED, options_of, parse_bench
 from taccel_lab.errors import InputError
-from tests.support.bench import bench, tools_bench
+from tests.support.commands import Parser, done, refusal, run
 from tools.bench.__main__ import COMMANDS as OF_TOOLS
+from tools.bench.__main__ import parse
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,7 +34,7 @@ def speed_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run of the suite, through its command line."""
     out = tmp_path_factory.mktemp("speed") / "speed.json"
     arguments = "speed --scene press_239 --envs 1 2 --steps 3 --repeats 2 --no-startup --check"
-    assert bench([*arguments.split(), "--source", "generated", "--out", str(out)]) == 0
+    assert run("bench", *arguments.split(), "--source", "generated", "--out", out) == 0
     return out
 
 
@@ -70,7 +70,7 @@ def test_a_page_counts_the_goals_that_were_met_and_shows_what_differs_first() ->
 
 
 def test_a_budget_that_is_spent_starts_nothing_and_finished_rows_survive(tmp_path: Path) -> None:
-    assert bench(["speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]) == 0
+    assert run("bench", "speed", "--envs", 1, "--budget-s", 0, "--out", tmp_path) == 0
     document = read_result(tmp_path / "speed.json")
     assert document["rows"] == [] and document["complete"] is False
     assert not Deadline(None).passed
@@ -98,8 +98,7 @@ def test_a_budget_that_is_spent_starts_nothing_and_finished_rows_survive(tmp_pat
 def test_unusable_input_ends_with_code_two(
     words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert bench([*words.split(), "--out", str(tmp_path)]) == 2
-    assert says in capsys.readouterr().err
+    assert says in refusal(capsys, "bench", *words.split(), "--out", tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -108,8 +107,8 @@ def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
 ) -> None:
     (tmp_path / "file").write_text("mine")
     monkeypatch.setattr(Speed, "measure_rows", lambda *_: pytest.fail("measured"))
-    assert bench(["speed", "--out", str(tmp_path / "file" / "out")]) == 2
-    assert "is a file" in capsys.readouterr().err
+    said = refusal(capsys, "bench", "speed", "--out", tmp_path / "file" / "out")
+    assert "is a file" in said
 
 
 def test_options_are_read() -> None:
@@ -117,58 +116,53 @@ def test_options_are_read() -> None:
     assert parse_bench(words) == Speed(envs=(1, 16), device="cuda:0", startup=False)
 
 
+PROGRAMS = [(["bench"], COMMANDS, None), ([], OF_TOOLS, parse)]
+"""First words, places of commands, and the parser where it is not that of ``taccel-lab``."""
+
+
 @pytest.mark.parametrize(
-    ("command", "place", "run"),
+    ("words", "place", "parsed"),
     [
-        *((command, place, bench) for command, place in COMMANDS.items()),
-        *((command, place, tools_bench) for command, place in OF_TOOLS.items()),
+        ([*first, command], place, parsed)
+        for first, commands, parsed in PROGRAMS
+        for command, place in commands.items()
     ],
 )
 def test_every_option_has_help(
-    command: str,
-    place: str,
-    run: Callable[[Sequence[str]], int],
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], place: str, parsed: Parser | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = options_of(place)
     for item in dataclasses.fields(options):
         assert get_field_docstring(options, item.name, ()), item.name
         # Results of the repository are written on request only.
         assert item.name != "out" or item.default == Path("out/benchmarks")
-    with pytest.raises(SystemExit) as done:
-        run([command, "--help"])
-    assert done.value.code == 0
-    assert (options.__doc__ or "?").split("\n")[0][:40] in capsys.readouterr().out
+    code, out, _ = done(capsys, *words, "--help", parsed=parsed)
+    assert code == 0 and (options.__doc__ or "?").split("\n")[0][:40] in out
 
 
-@pytest.mark.parametrize(
-    ("run", "commands"), [(bench, COMMANDS), (tools_bench, OF_TOOLS)], ids=["package", "tools"]
-)
+@pytest.mark.parametrize(("first", "commands", "parsed"), PROGRAMS, ids=["package", "tools"])
 def test_commands_are_listed(
-    run: Callable[[Sequence[str]], int],
-    commands: Mapping[str, str],
+    first: list[str],
+    commands: dict[str, str],
+    parsed: Parser | None,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for words in ([], ["--help"]):
-        with pytest.raises(SystemExit) as done:
-            run(words)
-        assert done.value.code == 0
-        text = capsys.readouterr().out
-        assert all(f"• {command.replace('_', '-')}" in text for command in commands)
-    assert run(["nonsense"]) == 2
     known = [command.replace("_", "-") for command in commands]
-    assert f"no command 'nonsense'; known: {', '.join(known)}" in capsys.readouterr().err
+    for words in (first, [*first, "--help"]):
+        code, out, _ = done(capsys, *words, parsed=parsed)
+        assert code == 0 and all(f"• {command}" in out for command in known)
+    code, _, err = done(capsys, *first, "nonsense", parsed=parsed)
+    assert code == 2 and f"no command 'nonsense'; known: {', '.join(known)}" in err
 
 
 def test_what_has_moved_says_where_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(MOVED) == set(OF_TOOLS)
     for command in (*MOVED, "slow-steps"):
-        assert bench([command, "--help"]) == 2
         said = f"bench has no {command} any more; run python -m tools.bench {command} in a checkout"
-        assert said in capsys.readouterr().err
-    code = "-m", "tools.bench", "compare", "no_such.json", "no_such.json"
-    done = subprocess.run([sys.executable, *code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 2 and "does not exist" in done.stderr
+        assert said in refusal(capsys, "bench", command, "--help")
+    words = "-m", "tools.bench", "compare", "no_such.json", "no_such.json"
+    ended = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
+    assert ended.returncode == 2 and "does not exist" in ended.stderr
 
 
 # Measuring ------------------------------------------------------------------------------------

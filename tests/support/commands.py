@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs ``taccel-lab`` in this process."""
+"""Runs ``taccel-lab``, or another program with its exit codes, in this process."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import pytest
 
-from taccel_lab.cli.app import main
+from taccel_lab.cli.app import Command, main
+
+Parser = Callable[[Sequence[str]], Command]
 
 
 class Done(NamedTuple):
@@ -18,18 +21,19 @@ class Done(NamedTuple):
     err: str
 
 
-def run(*words: object) -> int:
-    """Exit code of ``taccel-lab WORDS``; ``--help`` and refused words exit inside the parser."""
+def run(*words: object, parsed: Parser | None = None) -> int:
+    """Exit code of ``taccel-lab WORDS``, or of the program whose parser is given; ``--help`` and
+    refused words exit inside the parser."""
     try:
-        return main([str(word) for word in words])
+        return main([str(word) for word in words], parsed)
     except SystemExit as end:
         return int(end.code or 0)
 
 
-def done(capsys: pytest.CaptureFixture[str], *words: object) -> Done:
+def done(capsys: pytest.CaptureFixture[str], *words: object, parsed: Parser | None = None) -> Done:
     """The same with what it printed, and nothing that was printed before."""
     capsys.readouterr()
-    code = run(*words)
+    code = run(*words, parsed=parsed)
     return Done(code, *capsys.readouterr())
 
 

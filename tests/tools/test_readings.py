@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.benchmarks.results import read_result
-from tests.support.bench import tools_bench
+from tests.support.commands import run
 from tools.bench import readings
+from tools.bench.__main__ import parse
 
 ROOT = Path(__file__).parents[2]
 ABSENT = ("tyro", "rich", "pyvista", "build123d", "OCP", "cv2", "kornia", "pydantic", "matplotlib")
@@ -23,7 +24,7 @@ def test_images_are_read_at_a_speed_and_an_error(
 ) -> None:
     monkeypatch.setattr(readings, "SIZES", ((160, 128),))
     words = ["readings", "--at-once", "1", "2", "--repeats", "1", "--out", str(tmp_path)]
-    assert tools_bench(words) == 0
+    assert run(*words, parsed=parse) == 0
     document = read_result(tmp_path / "readings.json")
     assert [row["at_once"] for row in document["rows"]] == [1, 2]
     for row in document["rows"]:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.results import read_result
-from tests.support.bench import tools_bench
+from tests.support.commands import done, run
+from tools.bench.__main__ import parse
 from tools.bench.slow_steps import COLUMNS
 
 COARSE = ["--source", "generated"]
@@ -21,7 +22,7 @@ COARSE = ["--source", "generated"]
 def test_steps_taken_again_take_as_long_and_end_in_the_same_place(tmp_path: Path) -> None:
     starts, out = tmp_path / "starts.npz", tmp_path / "out"
     words = ["slow_steps", "--starts", str(starts), "--out", str(out), *COARSE, "--slow", "12"]
-    assert tools_bench([*words, "--envs", "2", "--steps", "30", "--share", "0.2"]) == 0
+    assert run(*words, "--envs", 2, "--steps", 30, "--share", 0.2, parsed=parse) == 0
     first = starts.read_bytes()
     rows = read_result(out / "slow_steps.json")["rows"]
     assert sum(row["steps"] for row in rows) == len(np.load(starts)["newton"]) > 4
@@ -29,7 +30,7 @@ def test_steps_taken_again_take_as_long_and_end_in_the_same_place(tmp_path: Path
         assert row["again"] == row["recorded"]
         assert row["moved_um_p95"] == row["failed"] == row["halved"] == 0
     tight = [*words, "--set", "relative_tolerance=1e-6"]
-    assert tools_bench(tight) == 0 and starts.read_bytes() == first
+    assert run(*tight, parsed=parse) == 0 and starts.read_bytes() == first
     again = read_result(out / "slow_steps.json")["rows"]
     for row, loose in zip(again, rows, strict=True):
         assert (
@@ -55,7 +56,6 @@ def test_files_of_other_steps_are_refused(
     starts = tmp_path / "starts.npz"
     kept: dict[str, Any] = {name: array for name, array in arrays.items() if array is not None}
     np.savez(starts, **kept)
-    assert (
-        tools_bench(["slow_steps", "--starts", str(starts), "--out", str(tmp_path), *COARSE]) == 2
-    )
-    assert re.search(words, capsys.readouterr().err)
+    given = ["slow_steps", "--starts", starts, "--out", tmp_path, *COARSE]
+    code, _, err = done(capsys, *given, parsed=parse)
+    assert code == 2 and re.search(words, err)
