@@ -104,15 +104,17 @@ from scipy.optimize import brentq
 from taccel_lab import OpticalModel, PressEnv, SignalTactile, parse_indenter, profile_material
 from taccel_lab.presses import PHYSICS, Accuracy, PressSetup
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.mesh import profile_press_mesh
+from taccel_lab.presses.mesh import refined_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import profile_parameters
 
 physics = PHYSICS[Accuracy.FAST]
 
 
 def press_to(load_n, tool, guess_mm, profile):
     """A press that ends at a load, to 1 %."""
-    mesh = profile_press_mesh(profile, (0, 0), tool.contact(guess_mm), physics.mesh)
+    pad = profile_parameters(profile).pad()
+    mesh = refined_press_mesh(pad, (0, 0), tool.contact(guess_mm), physics.mesh)
     material = profile_material(profile.material, mesh)
     env = PressEnv(PressSetup(mesh, material, tool, physics=physics), np.zeros((1, 2)))
     depth_mm = guess_mm

@@ -26,8 +26,9 @@ import numpy as np
 
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
 from taccel_lab.presses import PressSetup
-from taccel_lab.presses.mesh import profile_press_mesh
+from taccel_lab.presses.mesh import refined_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import profile_parameters
 
 plt.rcParams["figure.dpi"] = 60
 
@@ -42,7 +43,7 @@ print(f"nu {material.poisson_ratio:g}; both: {material.provenance.method}")
 
 def press(tool, deepest_mm, friction=0.0):
     """The gel under a tool at its middle, meshed for a depth."""
-    mesh = profile_press_mesh(profile, (0, 0), tool.contact(deepest_mm))
+    mesh = refined_press_mesh(profile_parameters(profile).pad(), (0, 0), tool.contact(deepest_mm))
     gel = profile_material(profile.material, mesh)
     return PressEnv(PressSetup(mesh, gel, tool, friction), np.zeros((1, 2)))
 

@@ -40,14 +40,16 @@ from taccel_lab.presses import (
     simulate_press,
 )
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.mesh import profile_press_mesh
+from taccel_lab.presses.mesh import refined_press_mesh
 from taccel_lab.presses.numerical_error import measured_press
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import profile_parameters
 
 plt.rcParams["figure.dpi"] = 60
 print(f"{platform.machine()}, {os.cpu_count()} cores, one of them used; others may be at work too")
 
 profile = catalogue_profile("flat_pad")
+pad = profile_parameters(profile).pad()
 ball = parse_indenter("sphere:4")
 DEPTH_MM = 0.4
 
@@ -58,7 +60,7 @@ def press(physics):
 
     def at(resolution):
         contact, finer = ball.contact(DEPTH_MM), resolution.mesh
-        mesh = profile_press_mesh(profile, (0, 0), contact, physics.mesh, finer)
+        mesh = refined_press_mesh(pad, (0, 0), contact, physics.mesh, finer)
         near = replace(physics, dhat_m=resolution.dhat * physics.dhat_m)
         gel = profile_material(profile.material, mesh)
         setup = PressSetup(mesh, gel, ball, physics=near)

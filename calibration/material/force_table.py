@@ -2,18 +2,19 @@
 """Simulated force over depth and Poisson's ratio, as a smooth function with its own error.
 
 Each force is that of a press as ``taccel-lab press`` simulates it: the mesh of its own depth, the
-same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu), in which
-forces are nearly polynomial up to incompressibility: with four nodes over nu 0.30 to 0.499 they
-are met to 0.03 %, with five to 0.005 % (a ball of 7.5 mm, 0.4 mm deep in the GelSight Mini's gel).
-Over the depth a cubic spline goes through them. Presses between the nodes measure the error of the
-table; that of the mesh is what such presses keep to.
+same steps on the way, with the press beside it. Presses are simulated at Chebyshev nodes of
+s = sqrt(1 - 2 nu), in which forces are nearly polynomial up to incompressibility: with four nodes
+over nu 0.30 to 0.499 they are met to 0.03 %, with five to 0.005 % (a ball of 7.5 mm, 0.4 mm deep in
+the GelSight Mini's gel). Over the depth a cubic spline goes through them. Presses between the nodes
+measure the error of the table; that of the mesh is what the presses state.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,18 @@ from scipy.interpolate import CubicSpline
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import cached_arrays
-from taccel_lab.geometry import TetMesh
-from taccel_lab.presses import PressEnv, PressPath, PressSetup, profile_material
-from taccel_lab.presses.physics import expected_error
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import (
+    PressOutcome,
+    PressPath,
+    PressSetup,
+    profile_material,
+    simulate_press,
+)
+from taccel_lab.presses.mesh import is_beside_edge
+from taccel_lab.presses.numerical_error import measured_press
+from taccel_lab.presses.outcome import SeenFrom
+from taccel_lab.presses.resolution import Resolution
 from taccel_lab.progress import Progress, silent
 from taccel_lab.with_error import NORMAL_95
 
@@ -49,8 +59,8 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Error of the presses at each depth, see ``presses.physics``, as one standard deviation,
-    shape [depth]."""
+    """Error of the presses at each depth, see ``measured_press``, as one standard deviation, shape
+    [depth]."""
 
     @property
     def scale(self) -> float:
@@ -157,16 +167,16 @@ def force_table(
     rows: list[list[dict[str, np.ndarray]]] = []
     total = len(depths) * len(gels)
     for depth in depths.tolist():
-        bench, row = GelBench(gel, tool, depth), []
+        bench, row = GelBench(gel, tool, depth, friction, within[1]), []
         for each in gels:
             progress(task, len(rows) * len(gels) + len(row), total)
-            row.append(bench.pressed(each, friction))
+            row.append(bench.pressed(each))
         rows.append(row)
     progress(task, total, total)
     exponent = 1.5 if tool.kind == "sphere" else 1.0
     forces = np.array([[item["force_n"][0] for item in row] for row in rows]).T
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
-    mesh = _press_errors(gel, tool, depths) / NORMAL_95
+    mesh = np.array([max(item["error"][0] for item in row) for row in rows]) / NORMAL_95
     table = ForceTable(
         exponent=exponent,
         nu=nus,
@@ -188,12 +198,6 @@ def _nodes(low: float, high: float, count: int) -> np.ndarray:
     least, most = math.sqrt(1 - 2 * high), math.sqrt(1 - 2 * low)
     s = 0.5 * (most + least) + 0.5 * (most - least) * chebpts1(count)[::-1]
     return 0.5 * (1 - s**2)
-
-
-def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray) -> np.ndarray:
-    """Relative errors that presses to these depths [mm] keep to, [depth]."""
-    shape, one = tool.indenter().shape, np.ones_like(depths_mm)
-    return expected_error(gel.physics, shape, one, 1e-3 * depths_mm).force_n
 
 
 def _depths(depth_range_mm: tuple[float, float]) -> np.ndarray:
@@ -218,7 +222,9 @@ def _require_depth(gel: Gel, deepest_mm: float, recorded_mm: float) -> None:
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
 """Limits of iterations, on which no result depends: with much friction a step that does not
 converge soon will not."""
-RECIPE_VERSION = 3
+UNSEEN = SeenFrom(PixelGrid(2, 2, 1.0, 1.0))
+"""Stands for the pixels, of which nothing is kept."""
+RECIPE_VERSION = 4
 """Raised when the solver or the way of simulating changes forces, so that none are taken from the
 cache that were made otherwise."""
 
@@ -235,13 +241,18 @@ class GelBench:
     gel: Gel
     tool: CurveTool
     depth_mm: float
+    friction: float = 0.0
+    most_nu: float | None = None
+    """Largest Poisson's ratio of gels that are compared: they share its mesh, so that forces are
+    smooth in the ratio. That of ``gel`` when None."""
 
-    @cached_property
-    def mesh(self) -> TetMesh:
-        return self.gel.mesh(self.tool, self.depth_mm)
+    @property
+    def _mesh_nu(self) -> float:
+        return self.gel.material.poisson_ratio if self.most_nu is None else self.most_nu
 
-    def pressed(self, gel: Gel, friction: float = 0.0) -> dict[str, np.ndarray]:
-        """``force_n`` of a press of ``gel`` to the depth of the bench, and its ``seconds``.
+    def pressed(self, gel: Gel) -> dict[str, np.ndarray]:
+        """``force_n`` of a press of ``gel`` to the depth of the bench, its numerical error over it,
+        ``error``, and its ``seconds``.
 
         ``gel`` differs from that of the bench in its law at most.
 
@@ -250,13 +261,50 @@ class GelBench:
         """
 
         def made() -> dict[str, np.ndarray]:
-            env = self._env(gel, friction)
-            seconds = sum(report.seconds for report in env.follow(PressPath(self.depth_mm)))
-            return {"force_n": env.press_force[:, 2], "seconds": np.array(seconds)}
+            started = time.perf_counter()
+            tool, friction = self.tool.indenter(), self.friction
+            measured = measured_press(
+                lambda at: self._press(gel, at),
+                gel.physics,
+                tool.shape,
+                friction=friction,
+                remembers=friction > 0,
+                beside_edge=is_beside_edge(gel.pad, self.tool.at_mm, tool.contact(self.depth_mm)),
+            )
+            error = measured.error
+            return {
+                "force_n": np.array([error.stated_for(measured.outcome).force_n]),
+                "error": np.array([error.share]),
+                "seconds": np.array(time.perf_counter() - started),
+            }
 
-        return cached_arrays("responses", self._recipe(gel, friction)).read_or_make(made)
+        return cached_arrays("responses", self._recipe(gel)).read_or_make(made)
 
-    def _recipe(self, gel: Gel, friction: float) -> dict[str, Any]:
+    def _press(self, gel: Gel, at: Resolution) -> PressOutcome:
+        """The press as ``taccel-lab press`` has it, of a gel of 1 MPa."""
+        tool, whole = self.tool.indenter(), PressPath(self.depth_mm).bounded((), self.friction)
+        setup = PressSetup.on_pad(
+            gel.pad,
+            partial(profile_material, gel.unit_material()),
+            tool,
+            self.tool.at_mm,
+            whole,
+            poisson_ratio=self._mesh_nu,
+            friction_coefficient=self.friction,
+            physics=gel.physics,
+            resolution=at,
+            device=gel.device,
+        )
+        return simulate_press(
+            setup,
+            self.tool.at_mm,
+            at.path(whole, tool.shape, self.friction, relaxes=False),
+            UNSEEN,
+            beside=whole if at.is_beside and self.friction > 0 else None,
+            limits=RUBBING_LIMITS if self.friction > 0 else {},
+        )
+
+    def _recipe(self, gel: Gel) -> dict[str, Any]:
         """All that a press of ``gel`` here depends on."""
         return {
             "version": RECIPE_VERSION,
@@ -264,23 +312,9 @@ class GelBench:
             "tool": self.tool.description,
             "at_mm": list(self.tool.at_mm),
             "nu": gel.material.poisson_ratio,
+            "mesh_nu": self._mesh_nu,
             "ratio": gel.material.mooney_ratio,
             "physics": gel.physics.record(),
             "depth_mm": self.depth_mm,
-            "friction": friction,
+            "friction": self.friction,
         }
-
-    def _env(self, gel: Gel, friction: float) -> PressEnv:
-        """A gel of 1 MPa at rest."""
-        return PressEnv(
-            PressSetup(
-                self.mesh,
-                profile_material(gel.unit_material(), self.mesh),
-                self.tool.indenter(),
-                friction_coefficient=friction,
-                physics=self.gel.physics,
-                device=self.gel.device,
-            ),
-            np.array([self.tool.at_mm]),
-            config=self.gel.physics.solver(**(RUBBING_LIMITS if friction else {})),
-        )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is pressed where: the gel of a profile, a tool, the mesh of a press, and measured points.
+"""What is pressed where: the gel of a profile, a tool, and measured points.
 
 Simulated forces scale exactly with all moduli together (also the contact stiffness follows them),
 so every press here is that of a gel of 1 MPa, and Young's modulus never needs a simulation. The
@@ -21,10 +21,9 @@ from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import Indenter, parse_indenter
 from taccel_lab.presses.bonded_layer import ToolKind
-from taccel_lab.presses.mesh import Pad, pad_press_mesh
+from taccel_lab.presses.mesh import Pad
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.profile import MaterialBlock, SensorProfile
 from taccel_lab.sensors.registry import profile_parameters
@@ -132,11 +131,6 @@ class Gel:
                 'simulated, use kind = "flat" for a plate'
             )
         return CurveTool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
-
-    def mesh(self, tool: CurveTool, depth_mm: float) -> TetMesh:
-        """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
-        contact = tool.indenter().contact(depth_mm)
-        return pad_press_mesh(self.pad, tool.at_mm, contact, self.physics.mesh)
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,6 @@ def triangle_prism(side_m: float = 5e-3, height_m: float = 3e-3) -> TriangleMesh
 def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -> PressOutcome:
     """Press; SimulationError without convergence."""
     indenter, parameters = case.indenter(), case.parameters()
-    physics = physics.of_press(case.depth_mm, case.friction, case.poisson_ratio)
     branches = tuple(MaxwellBranch(*branch) for branch in case.branches)
     layers = [
         Material(layer.young_modulus_pa, case.poisson_ratio, branches=branches)
@@ -224,12 +223,13 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
         resolution=at,
         device=device,
     )
+    whole = path.bounded(branches, case.friction)
     return simulate_press(
         setup,
         AT_MM,
-        path.bounded(branches, case.friction).with_steps(at.steps),
+        at.path(whole, indenter.shape, case.friction, relaxes=bool(branches)),
         SeenFrom(coarse_grid(parameters.grid())),
-        with_fewer_steps=at == BESIDE and case.remembers,
+        beside=whole if at == BESIDE and case.remembers else None,
     )
 
 

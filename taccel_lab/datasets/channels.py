@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera
-from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_known
 from taccel_lab.model.embedding import rotate
+from taccel_lab.presses.path import rolled_mm
 from taccel_lab.signals.frame_operators import BITS, FIELDS
 from taccel_lab.signals.tactile import SIGNALS
 
@@ -62,7 +62,10 @@ def _command(view: TouchView) -> np.ndarray:
 def _friction_use(view: TouchView) -> np.ndarray:
     """Friction over the largest possible friction, 0 without contact, [row]."""
     friction, normal = view.rubbing_n
-    most = np.array([view.touches[env].friction for env in view.who.tolist()]) * normal
+    most = (
+        np.array([view.touches[env].setup.friction_coefficient for env in view.who.tolist()])
+        * normal
+    )
     return np.divide(friction, most, out=np.zeros(len(most)), where=most > 0)
 
 

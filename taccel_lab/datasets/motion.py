@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an object stands over the gel, the mesh of the gel for that, and where it goes by steps."""
+"""How an object stands over the gel, and the press that a touch is."""
 
 from __future__ import annotations
 
@@ -9,72 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.datasets.sensor import Sensor
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.model.embedding import rotate
-from taccel_lab.presses import Indenter, normal_frame
-from taccel_lab.presses.mesh import pad_press_mesh
-from taccel_lab.presses.mesh_options import PressMeshOptions
+from taccel_lab.presses import Indenter, PressPath, PressPhysics, PressSetup
+from taccel_lab.presses.frame import face_frame
 from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.signals.frame_faults import FrameFaults
 from taccel_lab.signals.perturbation import Perturbation
-
-COMMAND = ("depth_mm", "shear_x_mm", "shear_y_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
-"""Columns of what is asked of a step, in the object's frame at the start: depth past first touch,
-motion along the face, rotation vector. A roll moves the object on besides (``rolled_mm``)."""
-
-
-@dataclass(frozen=True)
-class TouchMotion:
-    """Down to a depth, then sideways, about the axis or rolling, in equal steps."""
-
-    kind: str
-    depth_mm: float
-    shear_mm: float = 0.0
-    direction_deg: float = 0.0
-    """Direction of shear and roll, from the object's x towards its y."""
-    twist_deg: float = 0.0
-    roll_deg: float = 0.0
-    step_mm: float = 0.2
-    step_deg: float = 2.0
-
-    @property
-    def down_count(self) -> int:
-        """Steps down."""
-        return max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))
-
-    @property
-    def step_count(self) -> int:
-        side = (
-            self.shear_mm / self.step_mm,
-            abs(self.twist_deg) / self.step_deg,
-            abs(self.roll_deg) / self.step_deg,
-        )
-        return self.down_count + math.ceil(max(side) - 1e-9)
-
-    def commands(self) -> np.ndarray:
-        """What is asked of each step, columns ``COMMAND``, [step, 6]."""
-        down = self.down_count
-        count = self.step_count
-        there = np.zeros((count, 6))
-        there[:, 0] = self.depth_mm * np.minimum(np.arange(1, count + 1) / down, 1.0)
-        side = np.arange(1, count - down + 1) / max(count - down, 1)
-        direction_rad = math.radians(self.direction_deg)
-        along, across = (
-            np.array([math.cos(direction_rad), math.sin(direction_rad)]),
-            np.array([-math.sin(direction_rad), math.cos(direction_rad)]),
-        )
-        there[down:, 1:3] = side[:, None] * self.shear_mm * along
-        there[down:, 3:5] = side[:, None] * self.roll_deg * across
-        there[down:, 5] = side * self.twist_deg
-        return there
-
-
-def rolled_mm(commands: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
-    """How far objects whose origins are ``height_mm`` [n] above the face have rolled on by their
-    turns, [n, 2]: height times angle, as without sliding; ``commands`` is [n, 6]."""
-    turn = np.radians(commands[:, 3:5])
-    return height_mm[:, None] * np.column_stack([turn[:, 1], -turn[:, 0]])
 
 
 @dataclass(frozen=True)
@@ -104,23 +46,62 @@ class Placing:
         """gel_from_press, [7]: the object's origin is above the place when it touches.
 
         Raises InputError for a place beside the pad."""
-        xy = np.array(self.at_mm)
-        top, normal = float(pad.top_mm(xy)), pad.top_normal(xy)
-        if not (math.isfinite(top) and np.isfinite(normal).all()):
-            raise InputError(f"({xy[0]:.3g}, {xy[1]:.3g}) mm lies beside the contact face")
-        base = normal_frame(np.append(xy, top) * 1e-3, normal)
-        turn = self.turn()
+        base, turn = face_frame(pad, self.at_mm), self.turn()
         axis = rotate(turn, np.array([0.0, 0.0, 1.0]))
         back = -_height_m(indenter, turn) / axis[2] * np.append(axis[:2], 0.0)
         return np.concatenate([base[:3] + rotate(base[3:], back), _product(base[3:], turn)])
 
-    def mesh(
-        self, pad: Pad, indenter: Indenter, depth_mm: float, options: PressMeshOptions
-    ) -> TetMesh:
-        """The gel, graded as for any press around what the object touches."""
-        return pad_press_mesh(
-            pad, self.at_mm, turned(indenter, self.turn()).contact(depth_mm), options
+    def setup(
+        self,
+        sensor: Sensor,
+        indenter: Indenter,
+        path: PressPath,
+        physics: PressPhysics,
+        *,
+        friction: float,
+        poisson_ratio: float | None = None,
+        focused: bool = True,
+        device: str = "cpu",
+    ) -> PressSetup:
+        """The gel and the object, meshed as for any press along its path.
+
+        Args:
+            sensor: What is touched.
+            indenter: The object.
+            path: Its way, in its own frame.
+            physics: Grade of the press.
+            friction: Coefficient between the two.
+            poisson_ratio: Ratio in place of the sensor's own.
+            focused: Whether the gel is meshed for the press; else its mesh is the sensor's own.
+            device: Warp device.
+
+        Raises:
+            InputError: A place or way where the pad cannot be meshed.
+        """
+        ratio = sensor.poisson_ratio if poisson_ratio is None else poisson_ratio
+        if not focused:
+            own = physics.of_press(path.depth_mm, friction, ratio, in_batch=True)
+            material = sensor.material_of(sensor.mesh)
+            return PressSetup(sensor.mesh, material, indenter, friction, own, device)
+        turn = self.turn()
+        # Digits that a turn adds may lead past what a path may be.
+        shear, roll = (
+            tuple(np.round(rotate(turn, np.array([*along, 0.0]))[:2], 9).tolist())
+            for along in (path.shear_mm, path.roll_deg)
         )
+        setup = PressSetup.on_pad(
+            sensor.pad,
+            sensor.material_of,
+            turned(indenter, turn),
+            self.at_mm,
+            replace(path, shear_mm=shear, roll_deg=roll),
+            poisson_ratio=ratio,
+            friction_coefficient=friction,
+            physics=physics,
+            device=device,
+            in_batch=True,
+        )
+        return replace(setup, indenter=indenter)
 
 
 def turned(indenter: Indenter, turn: np.ndarray) -> Indenter:
@@ -157,12 +138,12 @@ class Touch:
     """One episode, ready to be simulated."""
 
     episode: int
-    mesh: TetMesh
+    setup: PressSetup
+    """The gel on its mesh, with the sensor's own material, the object and their friction."""
     frame: np.ndarray
     """gel_from_press, [7]."""
     commands: np.ndarray
-    """Columns ``motion.COMMAND``, [step, 6]."""
-    friction: float
+    """Columns ``presses.path.COMMAND``, in the object's frame at the start, [step, 6]."""
     unit: int = 0
     young_modulus_factor: float = 1.0
     light: Perturbation | None = None

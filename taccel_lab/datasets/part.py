@@ -89,7 +89,7 @@ def episode_row(
     """What the table says of an episode."""
     episode = plan.episodes[record.episode]
     sensor, spec = plan.sensors[episode.sensor], plan.spec
-    put, path = episode.placing, episode.path
+    put = episode.placing
     done = kept == record.wanted + 1
     return {
         "episode": episode.index,
@@ -107,7 +107,7 @@ def episode_row(
         "object": spec.objects[episode.object].label,
         "object_index": episode.object,
         "tool": spec.objects[episode.object].tool,
-        "motion": path.kind,
+        "motion": spec.motions[episode.motion].kind,
         "motion_index": episode.motion,
         "seed": spec.dataset.seed,
         "x_mm": put.x_mm,
@@ -115,11 +115,7 @@ def episode_row(
         "yaw_deg": put.yaw_deg,
         "tilt_deg": put.tilt_deg,
         "lean_deg": put.lean_deg,
-        "depth_mm": path.depth_mm,
-        "shear_mm": path.shear_mm,
-        "direction_deg": path.direction_deg,
-        "twist_deg": path.twist_deg,
-        "roll_deg": path.roll_deg,
+        **episode.drawn,
         "friction": episode.friction,
         "young_modulus_factor": episode.young_modulus_factor,
         "steps_wanted": record.wanted,

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from taccel_lab.datasets.channels import camera_record, check_channels
-from taccel_lab.datasets.motion import Placing, TouchMotion, view_range_mm
+from taccel_lab.datasets.motion import Placing, view_range_mm
 from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.files.regular_file import file_sha256
-from taccel_lab.presses import PHYSICS, Accuracy, Indenter, PressPhysics, parse_indenter
+from taccel_lab.presses import PHYSICS, Accuracy, Indenter, PressPath, PressPhysics, parse_indenter
 from taccel_lab.presses.touch import check_depth
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Format of the folder; a reader refuses others."""
+PRESS_RULES = 2
+"""Raised when presses of the same file have other forces: a data set does not go on with them."""
 EPISODE_KEY, LIGHT_KEY, NOISE_KEY, FAULT_KEY = 2, 3, 4, 5
 """Keys of the seeds of what they name, beside the data set's own."""
 _TOLD_EVERY = 4096
@@ -52,7 +54,10 @@ class PlannedTouch:
     motion: int
     """Entries of the file, from 0."""
     placing: Placing
-    path: TouchMotion
+    path: PressPath
+    """Its way, in the object's frame at the start."""
+    drawn: dict[str, float]
+    """Depth, way, direction and turns as they were drawn, by column."""
     friction: float
     young_modulus_factor: float
     split: str
@@ -154,7 +159,7 @@ class DatasetPlan:
     def _check_places(self, sensor: Sensor) -> None:
         """Refuse ranges of places in whose corners the gel cannot be meshed for some object."""
         low, high = self.place_range_mm(sensor)
-        depth = self._deepest_mm
+        straight, friction = PressPath(self._deepest_mm), sensor.friction_coefficient
         corners = [(x, y) for x in {low[0], high[0]} for y in {low[1], high[1]}]
         for entry, indenter in zip(self.spec.objects, self.indenters, strict=True):
             for x, y in corners:
@@ -162,7 +167,7 @@ class DatasetPlan:
                 try:
                     placing.frame(sensor.pad, indenter)
                     if self.spec.dataset.mesh == "focused":
-                        placing.mesh(sensor.pad, indenter, depth, self.physics.mesh)
+                        placing.setup(sensor, indenter, straight, self.physics, friction=friction)
                 except InputError as error:
                     raise InputError(
                         f"object {entry.label!r} cannot be placed at ({x:.3g}, {y:.3g}) mm: "
@@ -209,19 +214,19 @@ class DatasetPlan:
             float(rng.uniform(*thing.tilt_deg)),
             float(rng.uniform(0, 360)),
         )
-        path = _drawn_motion(rng, spec.motions[motion])
-        drawn = self.sensors[sensor].units[unit]
-        friction = drawn.friction_coefficient
+        path, drawn = _drawn_motion(rng, spec.motions[motion])
+        one = self.sensors[sensor].units[unit]
+        friction = one.friction_coefficient
         if friction is None:
             friction = self.sensors[sensor].friction_coefficient
         if spec.randomise.friction is not None:
             friction = float(rng.uniform(*spec.randomise.friction))
-        factor = drawn.young_modulus_factor
+        factor = one.young_modulus_factor
         if spec.randomise.young_modulus_factor is not None:
             factor *= float(rng.uniform(*spec.randomise.young_modulus_factor))
         test = by.split == "test" or thing.split == "test" or unit >= by.units - by.test_units
         return PlannedTouch(
-            index, sensor, unit, touched, motion, placing, path, friction, factor,
+            index, sensor, unit, touched, motion, placing, path, drawn, friction, factor,
             "test" if test else "train",
         )  # fmt: skip
 
@@ -266,7 +271,7 @@ class DatasetPlan:
         pairs, steps = np.empty((2, count), dtype=np.int32)
         for episode in self.episodes:
             pairs[episode.index] = episode.sensor * len(self.tools) + episode.object
-            steps[episode.index] = episode.path.step_count
+            steps[episode.index] = sum(episode.path.counts)
             if episode.index % _TOLD_EVERY == 0:
                 progress("drawing touches", episode.index, count)
         progress("drawing touches", count, count)
@@ -301,6 +306,7 @@ class DatasetPlan:
             "profiles": [sensor.digest for sensor in self.sensors],
             "objects": [_file_digest(tool) for tool in self.tools],
             "physics": self.physics.record(),
+            "press_rules": PRESS_RULES,
         }
 
     @functools.cached_property
@@ -343,7 +349,11 @@ def _weighted(rng: np.random.Generator, edges: np.ndarray) -> int:
     return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
 
 
-def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> TouchMotion:
+def _drawn_motion(
+    rng: np.random.Generator, entry: MotionEntry
+) -> tuple[PressPath, dict[str, float]]:
+    """A path, in the object's frame, and the numbers that it was drawn from."""
+
     def drawn(ends: tuple[float, float] | None) -> float:
         value = rng.uniform(*(ends or (0.0, 0.0)))
         return float(value) if ends is not None else 0.0
@@ -356,4 +366,17 @@ def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> TouchMotion:
         "roll_deg": drawn(entry.roll_deg),
     }
     assert all(math.isfinite(value) for value in values.values())
-    return TouchMotion(entry.kind, **values, step_mm=entry.step_mm, step_deg=entry.step_deg)
+    direction_rad, way, roll = (
+        math.radians(values["direction_deg"]), values["shear_mm"], values["roll_deg"]
+    )  # fmt: skip
+    x, y = math.cos(direction_rad), math.sin(direction_rad)
+    path = PressPath(
+        values["depth_mm"],
+        (way * x, way * y),
+        values["twist_deg"],
+        step_mm=entry.step_mm,
+        step_deg=entry.step_deg,
+        # About the axis across the direction.
+        roll_deg=(-roll * y, roll * x),
+    )
+    return path, values

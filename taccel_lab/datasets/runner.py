@@ -120,7 +120,9 @@ def batches(
     return [tuple(group) for group in found]
 
 
-def touches_of(plan: DatasetPlan, part: DatasetPart) -> list[Touch | TouchRecord]:
+def touches_of(
+    plan: DatasetPlan, part: DatasetPart, device: str = "cpu"
+) -> list[Touch | TouchRecord]:
     """Episodes of a part, meshed; those that cannot be are records that say why."""
     sensor, indenter = plan.sensors[part.sensor], plan.indenters[part.object]
     wanted = plan.spec.randomise
@@ -129,10 +131,16 @@ def touches_of(plan: DatasetPlan, part: DatasetPart) -> list[Touch | TouchRecord
         episode = plan.episodes[number]
         commands = episode.path.commands()
         try:
-            mesh = sensor.mesh
-            if plan.spec.dataset.mesh == "focused":
-                depth = episode.path.depth_mm
-                mesh = episode.placing.mesh(sensor.pad, indenter, depth, plan.physics.mesh)
+            setup = episode.placing.setup(
+                sensor,
+                indenter,
+                episode.path,
+                plan.physics,
+                friction=episode.friction,
+                poisson_ratio=sensor.units[episode.unit].poisson_ratio,
+                focused=plan.spec.dataset.mesh == "focused",
+                device=device,
+            )
             frame = episode.placing.frame(sensor.pad, indenter)
         except InputError as error:
             found.append(failed_touch(number, len(commands), str(error)))
@@ -140,10 +148,9 @@ def touches_of(plan: DatasetPlan, part: DatasetPart) -> list[Touch | TouchRecord
         found.append(
             Touch(
                 episode=number,
-                mesh=mesh,
+                setup=setup,
                 frame=frame,
                 commands=commands,
-                friction=episode.friction,
                 unit=episode.unit,
                 young_modulus_factor=episode.young_modulus_factor,
                 light=plan.light(episode),
@@ -163,16 +170,13 @@ def simulate_parts(
     """Simulate parts of one sensor and object side by side."""
     output = plan.spec.output
     first = parts[0]
-    prepared = [touches_of(plan, part) for part in parts]
+    prepared = [touches_of(plan, part, device) for part in parts]
     ready = [touch for group in prepared for touch in group if isinstance(touch, Touch)]
     what = f"part {first.index}, {len(ready)} touches"
     bench = TouchBench(
         plan.sensors[first.sensor],
-        plan.indenters[first.object],
-        plan.physics,
         channels_of(plan.spec.channels),
         output.patches,
-        device,
         lambda done, total: progress(what, done, total),
     )
     records = iter(simulate_touches(ready, bench))

@@ -58,6 +58,7 @@ class Sensor:
     mesh: TetMesh
     """Mesh as designed."""
     material_of: Callable[[TetMesh], Material | MaterialField]
+    poisson_ratio: float
     friction_coefficient: float
     grid: PixelGrid
     """Pixels of the images, laid over the gel."""
@@ -132,6 +133,7 @@ def sensor_of(
         pad=profile_parameters(profile).pad(),
         mesh=profile.mesh,
         material_of=lambda mesh: profile_material(profile.material, mesh),
+        poisson_ratio=profile.material.poisson_ratio,
         friction_coefficient=profile.material.friction_coefficient,
         grid=grid,
         camera=camera_of(profile).resized(width, height),

@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Touches of one sensor by one object, simulated together, and what their channels say.
 
-Physics is that of ``taccel-lab press``: mesh, elements, contact range and tolerance are
-``PressPhysics``. A touch that cannot be set up, or that does not converge, keeps the steps before
-and says why.
+Each is the press that ``taccel-lab press`` would be: mesh, contact range and tolerance are those of
+its own ``PressSetup``, so that its company changes nothing. A touch that cannot be set up, or that
+does not converge, keeps the steps before and says why.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from taccel_lab.datasets.channels import NODAL, Channel
-from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch, rolled_mm
+from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.presses import Indenter, PressEnv, PressPhysics, PressSetup
+from taccel_lab.geometry import Region
+from taccel_lab.presses import PressEnv
+from taccel_lab.presses.path import rolled_mm
 from taccel_lab.solvers import EnvStatus
 
 StepProgress = Callable[[int, int], None]
@@ -32,19 +32,17 @@ class TouchBench:
     """What all touches of a batch share."""
 
     sensor: Sensor
-    indenter: Indenter
-    physics: PressPhysics
     channels: Sequence[Channel]
     patches: tuple[int, int] = (8, 6)
-    device: str = "cpu"
     progress: StepProgress = field(default=lambda done, total: None)
 
 
 def simulate_touches(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
-    """Simulate touches side by side; those of one connectivity are environments of one batch."""
+    """Simulate touches side by side; those of one connectivity and contact range are environments
+    of one batch."""
     groups: dict[str, list[int]] = {}
     for place, touch in enumerate(touches):
-        groups.setdefault(_connectivity(touch.mesh), []).append(place)
+        groups.setdefault(touch.setup.batch_key, []).append(place)
     found: dict[int, TouchRecord] = {}
     for places in groups.values():
         chosen = [touches[place] for place in places]
@@ -57,13 +55,6 @@ def simulate_touches(touches: Sequence[Touch], bench: TouchBench) -> list[TouchR
     return [found[place] for place in range(len(touches))]
 
 
-def _connectivity(mesh: TetMesh) -> str:
-    digest = hashlib.sha256()
-    for array in (mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers):
-        digest.update(array.tobytes())
-    return digest.hexdigest()
-
-
 def _alone(touch: Touch, bench: TouchBench) -> TouchRecord:
     try:
         return _simulate([touch], bench)[0]
@@ -73,21 +64,15 @@ def _alone(touch: Touch, bench: TouchBench) -> TouchRecord:
 
 def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
     first, count = touches[0], len(touches)
+    frictions = [touch.setup.friction_coefficient for touch in touches]
     env = PressEnv(
-        PressSetup(
-            first.mesh,
-            bench.sensor.material_of(first.mesh),
-            bench.indenter,
-            friction_coefficient=max(touch.friction for touch in touches),
-            physics=bench.physics,
-            device=bench.device,
-        ),
+        replace(first.setup, friction_coefficient=max(frictions)),
         np.zeros((count, 2)),
-        rest_positions_m=np.stack([touch.mesh.nodes_m for touch in touches]),
+        rest_positions_m=np.stack([touch.setup.mesh.nodes_m for touch in touches]),
         gel_from_press=np.stack([touch.frame for touch in touches]),
     )
     _set_parameters(env, touches, bench)
-    meshes = [env.nodal(touch.mesh) for touch in touches]
+    meshes = [env.nodal(touch.setup.mesh) for touch in touches]
     view = TouchView(
         env,
         touches,
@@ -165,7 +150,7 @@ def _set_parameters(env: PressEnv, touches: Sequence[Touch], bench: TouchBench) 
             young_modulus_pa=factors.reshape(own.shape) * np.broadcast_to(young, shape),
             poisson_ratio=np.where(np.isnan(own), np.broadcast_to(poisson, shape), own),
         )
-    frictions = np.array([touch.friction for touch in touches])
+    frictions = np.array([touch.setup.friction_coefficient for touch in touches])
     if (frictions != frictions.max()).any():
         model.set_friction(gel.name, tool.name, frictions)
 

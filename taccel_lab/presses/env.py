@@ -364,7 +364,9 @@ class PressEnv:
         return reports
 
     def _require_free(self, path: PressPath) -> None:
-        """Refuse a path that leads the indenter through what holds the gel."""
+        """Refuse a path that leads the indenter through what holds the gel, or that rolls."""
+        if any(path.roll_deg):
+            raise InputError("a path that rolls goes by its commands, one try_to a step")
         everyone = np.ones(len(self.at_m), dtype=bool)
         depth_m, start = self.checked_depth_m(path.depth_mm), self.poses
         aside = [way[1:] for way in path.way_there() if way[1:] != ((0.0, 0.0), 0.0)]

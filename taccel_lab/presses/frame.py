@@ -7,10 +7,16 @@ position [m] and quaternion x, y, z, w, shape [7].
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
+
+if TYPE_CHECKING:
+    from taccel_lab.cad.parts.pad import Pad
 
 
 def normal_frame(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -32,6 +38,19 @@ def normal_frame(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
     if across < np.finfo(np.float64).tiny and n[2] < 0:
         quaternion = np.array([0.0, 1.0, 0.0, 0.0])
     return np.concatenate([point, quaternion / np.linalg.norm(quaternion)])
+
+
+def face_frame(pad: Pad, at_mm: tuple[float, float]) -> np.ndarray:
+    """gel_from_press of a press along the normal of a pad's face at gel xy, [7].
+
+    Raises:
+        InputError: A place beside the pad.
+    """
+    xy = np.array(at_mm)
+    top, normal = float(pad.top_mm(xy)), pad.top_normal(xy)
+    if not (math.isfinite(top) and np.isfinite(normal).all()):
+        raise InputError(f"({xy[0]:.3g}, {xy[1]:.3g}) mm lies beside the contact face")
+    return normal_frame(np.append(xy, top) * 1e-3, normal)
 
 
 class PressFrames:

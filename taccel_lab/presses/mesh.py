@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -37,10 +37,7 @@ from taccel_lab.presses.mesh_options import (
     OutlineMeshOptions,
     PressMeshOptions,
 )
-from taccel_lab.sensors.registry import profile_parameters, sensor_family
-
-if TYPE_CHECKING:
-    from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.registry import sensor_family
 
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""
@@ -89,21 +86,6 @@ def press_mesh(
     return pad_press_mesh(found.parameters(parameters).pad(), at_mm, contact, options, sweep)
 
 
-def profile_press_mesh(
-    profile: SensorProfile,
-    at_mm: tuple[float, float],
-    contact: float | ToolSection,
-    options: PressMeshOptions = DEFAULT_PRESS_MESH,
-    refinement: float = 1.0,
-    sweep: ContactSweep = AT_REST,
-) -> TetMesh:
-    """Meshes a profile as ``press_mesh``, with more rings and layers where a ball's contact is
-    small beside the pad, near its edge or moves far: connectivity depends on the contact, too. Then
-    with ``refinement`` times as many elements along every side."""
-    pad = profile_parameters(profile).pad()
-    return refined_press_mesh(pad, at_mm, contact, options, refinement, sweep)
-
-
 def refined_press_mesh(
     pad: Pad,
     at_mm: tuple[float, float],
@@ -112,7 +94,9 @@ def refined_press_mesh(
     refinement: float = 1.0,
     sweep: ContactSweep = AT_REST,
 ) -> TetMesh:
-    """Meshes a pad as ``profile_press_mesh``."""
+    """Meshes a pad as ``press_mesh``, with more rings and layers where a ball's contact is small
+    beside the pad, near its edge or moves far: connectivity depends on the contact, too. Then with
+    ``refinement`` times as many elements along every side."""
     if isinstance(pad, HeightPad) and not isinstance(contact, ToolSection) and contact > 0:
         low, high = pad.outline.bounds_mm()
         radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
@@ -133,13 +117,12 @@ def _edge_mm(pad: Pad, at_mm: tuple[float, float], sweep: ContactSweep) -> float
 
 
 def is_beside_edge(
-    profile: SensorProfile,
+    pad: Pad,
     at_mm: tuple[float, float],
     contact: float | ToolSection,
     sweep: ContactSweep = AT_REST,
 ) -> bool:
     """Say whether a ball comes so near to the pad's edge that its mesh has more spokes."""
-    pad = profile_parameters(profile).pad()
     if isinstance(contact, ToolSection) or not isinstance(pad, HeightPad):
         return False
     return _edge_mm(pad, at_mm, sweep) < EDGE_RADII * contact

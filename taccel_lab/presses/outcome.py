@@ -22,7 +22,7 @@ from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses.env import PressEnv
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.path import HOLD_STEPS, PressPath, Waypoint
+from taccel_lab.presses.path import HOLD_STEPS, PressPath
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.presses.setup import PressSetup
 from taccel_lab.presses.states import PressStates, PressSurface
@@ -242,7 +242,8 @@ def simulate_press(
     progress: Callable[[int, int, PressStep], None] | None = None,
     stopped: Callable[[PressOutcome], None] | None = None,
     keep_states: bool = False,
-    with_fewer_steps: bool = False,
+    beside: PressPath | None = None,
+    limits: Mapping[str, int] | None = None,
 ) -> PressOutcome:
     """Press once, read everything. An indenter with a texture must go deeper than that is on the
     mean.
@@ -257,13 +258,15 @@ def simulate_press(
         stopped: Receives, where a step fails or an interrupt comes, the steps before, if there are
             any, and what can be read at their end; the error goes on.
         keep_states: Whether gel, loads and pixels of every step are kept, at 0.1 to 0.3 s each.
-        with_fewer_steps: Whether to press once more, in half as many steps.
+        beside: Path of the press that this one stands beside: once more in half as many steps, it
+            tells what that path's steps add.
+        limits: Fields of ``SolverConfig`` on which no result depends, see ``PressPhysics.solver``.
 
     Raises:
         InputError, SimulationError: As of ``PressEnv``.
     """
     indenter = setup.indenter
-    env = PressEnv(setup, np.array([at_mm]))
+    env = PressEnv(setup, np.array([at_mm]), config=setup.physics.solver(**(limits or {})))
     texture = indenter.texture
     if texture is not None and not path.depth_mm * 1e-3 > texture.mean_depth_m:
         raise InputError(
@@ -303,35 +306,38 @@ def simulate_press(
         stopped(read(PressStop(*waypoints[min(len(steps), len(waypoints) - 1)], why)))
         raise
     outcome = read()
-    return _with_steps(env, path, outcome) if with_fewer_steps else outcome
+    if beside is None:
+        return outcome
+    added = steps_added(env, path, beside, outcome.wrench, outcome.largest_n)
+    return replace(outcome, steps_share=added[0], steps_wrench=added[1])
 
 
-def _with_steps(env: PressEnv, path: PressPath, outcome: PressOutcome) -> PressOutcome:
-    """The outcome with what the steps of its path add: of first order, so that n of them add
-    1 / (n / m - 1) of what m fewer ones change (Richardson). Steps down and aside are not halved
-    alike; most hangs on those that became the fewest."""
-    there = path.way_there()
-    fewer = path.with_steps(max(1, len(there) // 2) / len(there))
-    counts = [_down_and_aside(each.way_there()) for each in (path, fewer)]
-    ratio = max(n / max(m, 1) for n, m in zip(*counts, strict=True))
-    normal = outcome.largest_n
-    if ratio == 1 or not normal:
-        return replace(outcome, steps_share=0.0, steps_wrench=np.zeros(6))
+def steps_added(
+    env: PressEnv, path: PressPath, beside: PressPath, wrench: np.ndarray, normal_n: float
+) -> tuple[float, np.ndarray]:
+    """Share of the normal force [1] and wrench [6] that the steps of ``beside`` add: of first
+    order, so that n steps add 1 / (n / m - 1) of what m fewer ones change (Richardson). Steps down
+    and aside are not halved alike; most hangs on those that became the fewest.
+
+    Args:
+        env: A press that went along ``path``; it goes again.
+        path: The same way as ``beside``, in as many steps or fewer.
+        beside: Path whose steps add that.
+        wrench: At the end of ``path``, of the first environment [N], [N m].
+        normal_n: Its largest normal force [N].
+    """
+    count = sum(path.counts)
+    fewer = path.with_steps(max(1, count // 2) / count)
+    ratio = max(n / max(m, 1) for n, m in zip(path.counts, fewer.counts, strict=True))
+    if ratio == 1 or not normal_n:
+        return 0.0, np.zeros(6)
     env.reset()
     found = [np.zeros(6)]
     env.follow(fewer, lambda *_: found.append(env.wrench[0].copy()))
     forces = [float(wrench[2]) for wrench in found]
     largest = max(forces) if path.back else forces[-1]
-    return replace(
-        outcome,
-        steps_share=(largest / normal - 1) / (ratio - 1),
-        steps_wrench=(found[-1] - outcome.wrench) / (ratio - 1),
-    )
-
-
-def _down_and_aside(way: list[Waypoint]) -> tuple[int, int]:
-    down = sum((shear, twist) == ((0.0, 0.0), 0.0) for _, shear, twist in way)
-    return down, len(way) - down
+    less = count / sum(beside.counts) / (ratio - 1)
+    return less * (largest / normal_n - 1), less * (found[-1] - wrench)
 
 
 def _read(

@@ -32,12 +32,22 @@ _EXACT = 4096
 
 Waypoint = tuple[float, tuple[float, float], float]
 """Depth [mm], shear [mm], twist [deg]."""
+COMMAND = ("depth_mm", "shear_x_mm", "shear_y_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
+"""Columns of what is asked of a step: depth past first touch, motion along the face, rotation
+vector. A roll moves the tool on besides (``rolled_mm``)."""
+
+
+def rolled_mm(commands: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
+    """How far tools whose origins are ``height_mm`` [n] above the face have rolled on by their
+    turns, [n, 2]: height times angle, as without sliding; ``commands`` is [n, 6]."""
+    turn = np.radians(commands[:, 3:5])
+    return height_mm[:, None] * np.column_stack([turn[:, 1], -turn[:, 0]])
 
 
 @typed
 @dataclass(frozen=True)
 class PressPath:
-    """Where the indenter goes: down, then sideways and about its vertical axis."""
+    """Where the indenter goes: down, then sideways, about its vertical axis or rolling."""
 
     depth_mm: float
     """Depth past first touch."""
@@ -56,18 +66,22 @@ class PressPath:
     gels that relax."""
     hold_s: float = 0.0
     """How long the indenter then rests at full depth [s], before it goes back."""
+    roll_deg: tuple[float, float] = (0.0, 0.0)
+    """Turn about x and y at full depth, by which it moves on, see ``rolled_mm``; of touches of data
+    sets alone, which go by ``commands``."""
 
     def __post_init__(self) -> None:
         require_positive("depth", self.depth_mm, "mm")
         require_range("depth", self.depth_mm, 0, 100, "mm")
         require_range("shear", self.shear_mm, -20, 20, "mm")
         require_range("twist", self.twist_deg, -180, 180, "deg")
+        require_range("roll", self.roll_deg, -90, 90, "deg")
         require_range("speed", self.speed_mm_s, 1e-4, 1e3, "mm/s")
         require_range("hold", self.hold_s, 0, LONGEST_HOLD_S, "s")
         require_positive("step_mm", self.step_mm)
         require_positive("step_deg", self.step_deg)
         motion_mm = max(self.depth_mm, math.hypot(*self.shear_mm))
-        least_mm, least_deg = motion_mm / MAX_STEPS, abs(self.twist_deg) / MAX_STEPS
+        least_mm, least_deg = motion_mm / MAX_STEPS, self._turn_deg / MAX_STEPS
         if self.step_mm < least_mm or self.step_deg < least_deg:
             raise InputError(
                 f"step_mm {self.step_mm:g} and step_deg {self.step_deg:g} make more than "
@@ -80,7 +94,7 @@ class PressPath:
         if times == 1:
             return self
         far = max(self.depth_mm, math.hypot(*self.shear_mm))
-        down, turns = min(self.step_mm, far), min(self.step_deg, abs(self.twist_deg) or 1.0)
+        down, turns = min(self.step_mm, far), min(self.step_deg, self._turn_deg or 1.0)
         return replace(self, step_mm=down / times, step_deg=turns / times)
 
     def bounded(self, branches: Sequence[MaxwellBranch], friction: float) -> PressPath:
@@ -98,10 +112,7 @@ class PressPath:
         exact = self._overstress(_EXACT, branches)
         times = 1
         while times < MOST_TIMES:
-            down = sum(
-                shear == (0.0, 0.0) and twist == 0.0
-                for _, shear, twist in self.with_steps(times).way_there()
-            )
+            down, _ = self.with_steps(times).counts
             off = self._overstress(down, branches) - exact
             if down >= LEAST_STEPS and abs(off) <= TIME_SHARE * (1.0 + exact):
                 break
@@ -122,25 +133,39 @@ class PressPath:
         return total
 
     @property
+    def _turn_deg(self) -> float:
+        """Largest turn about any axis."""
+        return max(abs(self.twist_deg), math.hypot(*self.roll_deg))
+
+    @property
     def is_straight_down(self) -> bool:
         """Whether it ends at full depth as soon as it is there, right above where it began."""
-        aside = any((*self.shear_mm, self.twist_deg))
-        return not (aside or self.back or self.hold_s > 0)
+        return not (self.counts[1] or self.back or self.hold_s > 0)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Steps down, and aside."""
+        aside = max(
+            math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
+            math.ceil(self._turn_deg / self.step_deg - 1e-9),
+            int(any((*self.shear_mm, *self.roll_deg, self.twist_deg))),
+        )
+        return max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9)), aside
+
+    def commands(self) -> np.ndarray:
+        """Return where each step down and aside goes to, columns ``COMMAND``, [step, 6]."""
+        down, aside = self.counts
+        step = np.arange(1, down + aside + 1)
+        deep, far = np.minimum(step / down, 1.0), np.maximum(step - down, 0) / max(aside, 1)
+        turn = np.array([*self.roll_deg, self.twist_deg])
+        return np.column_stack(
+            [self.depth_mm * deep, np.outer(far, self.shear_mm), np.outer(far, turn)]
+        )
 
     def way_there(self) -> list[Waypoint]:
         """Return the waypoints down and aside, before a hold."""
-        down = max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))
-        side = max(
-            math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
-            math.ceil(abs(self.twist_deg) / self.step_deg - 1e-9),
-            int(any((*self.shear_mm, self.twist_deg))),
-        )
-        path = [(self.depth_mm * ((i + 1) / down), (0.0, 0.0), 0.0) for i in range(down)]
-        for i in range(side):
-            t = (i + 1) / side
-            shear = (self.shear_mm[0] * t, self.shear_mm[1] * t)
-            path.append((self.depth_mm, shear, self.twist_deg * t))
-        return path
+        rows = self.commands().tolist()
+        return [(depth, (x, y), twist) for depth, x, y, *_, twist in rows]
 
     def waypoints(self) -> list[Waypoint]:
         """Depth [mm], shear [mm] and twist [deg] at the end of each step."""

@@ -14,6 +14,7 @@ default).
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -81,10 +82,19 @@ class PressPhysics:
     relative_tolerance: float = 1e-4
     """Force residual over the sum of the contact forces at which a step has converged."""
 
-    def of_press(self, depth_mm: float, friction: float, poisson_ratio: float) -> PressPhysics:
+    def of_press(
+        self, depth_mm: float, friction: float, poisson_ratio: float, *, in_batch: bool = False
+    ) -> PressPhysics:
         """Physics of one press: a contact range that is small beside its depth, as a force is off
-        by ``GAP_SHARE`` of that over the depth; and layers for friction, see ``for_friction``."""
+        by ``GAP_SHARE`` of that over the depth; and layers for friction, see ``for_friction``.
+
+        All presses of a batch share a range. With ``in_batch`` it is the grade's or a power of a
+        quarter of it, the nearest, so that a force is off by 0.2 % at most and depends on its own
+        depth alone, not on its company.
+        """
         near = max(LEAST_DHAT_M, DHAT_OF_DEPTH * 1e-3 * depth_mm)
+        if in_batch:
+            near = self.dhat_m * 0.25 ** round(max(math.log(self.dhat_m / near, 4), 0.0))
         mesh = self.mesh.for_friction(poisson_ratio) if friction > 0 else self.mesh
         return replace(self, dhat_m=min(self.dhat_m, near), mesh=mesh)
 

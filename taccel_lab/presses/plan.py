@@ -16,7 +16,7 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
-from taccel_lab.presses.mesh import is_beside_edge, profile_press_mesh
+from taccel_lab.presses.mesh import is_beside_edge, refined_press_mesh
 from taccel_lab.presses.options import PressOptions
 from taccel_lab.presses.photo import PhotoReader, PressPhoto
 from taccel_lab.presses.sweep import path_contact
@@ -28,10 +28,11 @@ from taccel_lab.profile.measured_range import measured_range
 from taccel_lab.report.style import save_drawing
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.any_sensor import AnySensor, profile_of, reading_profile_of
-from taccel_lab.sensors.registry import profile_sensor
+from taccel_lab.sensors.registry import profile_parameters, profile_sensor
 from taccel_lab.signals.color_model import ColorModel
 
 if TYPE_CHECKING:
+    from taccel_lab.cad.parts.pad import Pad
     from taccel_lab.presses import Indenter, PressPath, PressPhysics
     from taccel_lab.presses.outcome import SeenFrom
     from taccel_lab.profile import SensorProfile
@@ -184,13 +185,17 @@ class PressPlan:
             return self.profile.mesh
         try:
             contact, sweep = self._contact(path)
-            at_mm, mesh = self.options.at_mm, physics.mesh
-            return profile_press_mesh(self.profile, at_mm, contact, mesh, refinement, sweep)
+            at_mm, mesh, pad = self.options.at_mm, physics.mesh, self._pad
+            return refined_press_mesh(pad, at_mm, contact, mesh, refinement, sweep)
         except InputError as error:
             x, y = self.options.at_mm
             raise InputError(
                 f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
             ) from error
+
+    @cached_property
+    def _pad(self) -> Pad:
+        return profile_parameters(self.profile).pad()
 
     def _contact(self, path: PressPath) -> tuple[float | ToolSection, ContactSweep]:
         gel, material = self.profile.gel, self.profile.material
@@ -202,4 +207,4 @@ class PressPlan:
         """Say whether a ball comes so near to the pad's edge that its mesh is no usual one."""
         if self.options.mesh == "profile":
             return False
-        return is_beside_edge(self.profile, self.options.at_mm, *self._contact(path))
+        return is_beside_edge(self._pad, self.options.at_mm, *self._contact(path))

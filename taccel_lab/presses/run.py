@@ -20,7 +20,6 @@ from taccel_lab.presses.plan import PressPlan
 from taccel_lab.presses.touch import check_depth, deepest_mm
 from taccel_lab.processes.start_warp import first_step
 from taccel_lab.progress import watching_console
-from taccel_lab.scene import Ball
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -166,24 +165,15 @@ class PressRun(PressPlan):
         """Press along a path; what is this run's own is put into ``finished``, cut short or not."""
         from taccel_lab.presses import PressSetup, profile_material, simulate_press
 
-        # One below the options' resolution stands beside them and is nobody's result.
-        beside = at.mesh < 1
+        beside, shape = at.is_beside, self.indenter.shape
         physics = self.near(physics, path, friction)
-        physics = replace(physics, dhat_m=at.dhat * physics.dhat_m)
         mesh = self.mesh_for(physics, path, at.mesh)
         material = profile_material(self.profile.material, mesh)
         main, *further = self._views.items()
-        path = path.bounded(material.branches, friction).with_steps(at.steps)
-        count, remembers = len(path.way_there()), friction > 0 or bool(material.branches)
-        if beside and isinstance(self.indenter.shape, Ball) and path.is_straight_down:
-            # Beside a ball the force says nothing (``measured_press``) but what steps add, which
-            # needs few of them, and is the less the more there are: that of 3 and 6 of twenty is
-            # within 0.1 % of the force of that of 10 and 20.
-            if not remembers:
-                path = path.with_steps(1 / count)
-            elif not material.branches:
-                path = path.with_steps(min(count, 6) // 2 * 2 / count)
-            physics = replace(physics, relative_tolerance=10 * physics.relative_tolerance)
+        whole = path.bounded(material.branches, friction)
+        path = at.path(whole, shape, friction, relaxes=bool(material.branches))
+        physics = at.physics(physics, shape, path)
+        remembers = friction > 0 or bool(material.branches)
         device = self.options.device
         outcome = simulate_press(
             PressSetup(mesh, material, self.indenter, friction, physics, device),
@@ -194,14 +184,10 @@ class PressRun(PressPlan):
             progress=None if beside else progress,
             stopped=None if beside else finished.append,
             keep_states=self.options.states and not beside,
-            with_fewer_steps=beside and remembers,
+            beside=whole if beside and remembers else None,
         )
         if not beside:
             finished.append(outcome)
-        elif outcome.steps_share is not None and outcome.steps_wrench is not None:
-            less = len(outcome.path.way_there()) / count
-            share, wrench = less * outcome.steps_share, less * outcome.steps_wrench
-            outcome = replace(outcome, steps_share=share, steps_wrench=wrench)
         return outcome
 
 

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
 from taccel_lab.geometry import TetMesh
@@ -40,6 +43,18 @@ class PressSetup:
     device: str = "cpu"
     """Warp device."""
 
+    @cached_property
+    def batch_key(self) -> str:
+        """Equal for presses that can be environments of one scene, but for material and friction:
+        tool, physics and all of the mesh but its places."""
+        told = json.dumps([self.indenter.name, self.physics.record()])
+        digest = hashlib.sha256(told.encode())
+        for array in (
+            self.mesh.tets, self.mesh.faces, self.mesh.face_regions, self.mesh.tet_layers
+        ):  # fmt: skip
+            digest.update(array.tobytes())
+        return digest.hexdigest()
+
     @classmethod
     def on_pad(
         cls,
@@ -54,6 +69,7 @@ class PressSetup:
         physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
         resolution: Resolution = AS_IT_IS,
         device: str = "cpu",
+        in_batch: bool = False,
     ) -> Self:
         """Return the press of a pad along a path, meshed as by ``press``.
 
@@ -65,9 +81,10 @@ class PressSetup:
             path: Way of the tool.
             poisson_ratio: Of the gel's face.
             friction_coefficient: Between indenter and gel.
-            physics: Of the press, see ``PressPhysics.of_press``.
+            physics: A grade, which ``PressPhysics.of_press`` makes that of the press.
             resolution: How much finer mesh and contact range are.
             device: Warp device.
+            in_batch: Whether others are to share its contact range, see there.
 
         Raises:
             InputError: A place where the pad cannot be meshed.
@@ -75,10 +92,12 @@ class PressSetup:
         # Loads CAD, which a run on meshes that are there does without.
         from taccel_lab.presses.mesh import refined_press_mesh
 
+        physics = physics.of_press(
+            path.depth_mm, friction_coefficient, poisson_ratio, in_batch=in_batch
+        )
         contact, sweep = path_contact(
             indenter, path, friction_coefficient, pad.thickness_mm, poisson_ratio
         )
-        finer = resolution.mesh
-        mesh = refined_press_mesh(pad, at_mm, contact, physics.mesh, finer, sweep)
-        physics = replace(physics, dhat_m=resolution.dhat * physics.dhat_m)
+        mesh = refined_press_mesh(pad, at_mm, contact, physics.mesh, resolution.mesh, sweep)
+        physics = resolution.physics(physics, indenter.shape, path)
         return cls(mesh, material_of(mesh), indenter, friction_coefficient, physics, device)

@@ -12,7 +12,8 @@ from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.path import PressPath
+from taccel_lab.presses.path import PressPath, rolled_mm
+from taccel_lab.scene import Ball
 
 _BALL_SHARE = 2 / 3
 """Force of a ball over that of a flat punch of its contact radius, as deep [Hertz]."""
@@ -25,9 +26,15 @@ def path_contact(
     thickness_mm: float,
     poisson_ratio: float,
 ) -> tuple[float | ToolSection, ContactSweep]:
-    """Contact of a press, see ``Indenter.contact``, and its way, see ``press_sweep``."""
+    """Contact of a press, see ``Indenter.contact``, and its way, see ``press_sweep``; a ball that
+    rolls takes its contact along."""
     contact = indenter.contact(path.depth_mm)
-    return contact, press_sweep(path, contact, friction, thickness_mm, poisson_ratio)
+    sweep = press_sweep(path, contact, friction, thickness_mm, poisson_ratio)
+    if any(path.roll_deg) and isinstance(indenter.shape, Ball):
+        height = np.array([1e3 * indenter.shape.radius_m])
+        x, y = sweep.way_mm + rolled_mm(path.commands()[-1:], height)[0]
+        return contact, ContactSweep((float(x), float(y)))
+    return contact, sweep
 
 
 def press_sweep(

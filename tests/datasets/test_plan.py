@@ -15,13 +15,14 @@ import pyvista
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.datasets.motion import Placing, Touch, TouchMotion, rolled_mm
+from taccel_lab.datasets.motion import Placing, Touch
 from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import touches_of
 from taccel_lab.datasets.spec import DatasetSpec, load_spec
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import parse_indenter
+from taccel_lab.presses.path import rolled_mm
 from taccel_lab.profile import save_profile
 from tests.support.small_data_sets import plan, small_profile, table
 
@@ -117,7 +118,7 @@ def test_what_was_drawn_once_is_drawn_for_ever() -> None:
     """As the first version drew it: data sets that are there go on."""
     made = plan("flat_pad", randomise={"friction": [0.2, 0.4]}, **NO_IMAGES)
     drawn, put = made.episodes[4], made.episodes[4].placing
-    assert (drawn.object, drawn.motion, drawn.path.step_count) == (1, 0, 2)
+    assert (drawn.object, drawn.motion, sum(drawn.path.counts)) == (1, 0, 2)
     assert (put.x_mm, put.y_mm, put.lean_deg) == pytest.approx(
         (-2.8464645117414267, -1.9822033015002094, 184.41336448418556), rel=1e-12
     )
@@ -141,7 +142,7 @@ def test_a_great_many_touches_are_not_kept_in_memory(monkeypatch: pytest.MonkeyP
     assert kept < 3_000 * 300
     assert told[0] == (0, 3_000) and told[-1] == (3_000, 3_000) and len(told) > 3
     assert sum(part.steps for part in made.parts) == sum(
-        episode.path.step_count + 1 for episode in made.episodes
+        sum(episode.path.counts) + 1 for episode in made.episodes
     )
 
 
@@ -205,12 +206,17 @@ def test_a_view_of_a_profile_beside_the_file_is_a_sensor(tmp_path: Path) -> None
 
 
 def test_motions_end_where_they_should() -> None:
-    motion = TouchMotion("shear", 0.5, shear_mm=0.7, direction_deg=30.0)
-    commands = motion.commands()
-    assert len(commands) == motion.step_count == 3 + 4
+    moved = {"kind": "shear", "depth_mm": [0.5, 0.5], "shear_mm": [0.7, 0.7]}
+    rolled = {"kind": "roll", "depth_mm": [0.2, 0.2], "roll_deg": [10.0, 10.0]}
+    paths = []
+    for one, direction in ((moved, 30.0), (rolled, 90.0)):
+        motions = [{**one, "direction_deg": [direction, direction]}]
+        paths.append(plan("flat_pad", motions=motions, **NO_IMAGES).episodes[0].path)
+    commands = paths[0].commands()
+    assert len(commands) == sum(paths[0].counts) == 3 + 4
     assert commands[2].tolist() == [0.5, 0, 0, 0, 0, 0]
     assert commands[-1, :3] == pytest.approx([0.5, 0.7 * np.cos(np.pi / 6), 0.35])
-    roll = TouchMotion("roll", 0.2, roll_deg=10.0, direction_deg=90.0).commands()
+    roll = paths[1].commands()
     # Towards y it turns about -x, and moves on by height times angle.
     assert roll[-1, 3:5] == pytest.approx([-10.0, 0.0])
     assert rolled_mm(roll[-1:], np.array([3.0]))[0] == pytest.approx([0, 3 * np.radians(10)])

@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.results import benchmark_page, read_result
-from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.calibration.capture import load_capture_folder, load_captures
 from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.capture.camera.replay import open_replay
@@ -36,13 +35,13 @@ from taccel_lab.cli.profile import ProfileShow, ProfileValidate
 from taccel_lab.cli.read import Depth, Read
 from taccel_lab.cli.study import StudyCommand
 from taccel_lab.datasets.motion import Placing
+from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TABLE_FILE, read_table
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.geometry import TetMesh
 from taccel_lab.learning.force.training_file import TrainingFile
-from taccel_lab.presses import Indenter, parse_indenter
+from taccel_lab.presses import Indenter, PressSetup, parse_indenter
 from taccel_lab.reading import reading as touch
 from taccel_lab.signals.texture import Texture
 from taccel_lab.studies import report
@@ -117,15 +116,17 @@ def _work_once() -> None:
     """Most examples leave most pictures and the sensor as they are."""
     patch = pytest.MonkeyPatch()
     detect_once(patch)
-    mesh, meshes = Placing.mesh, {}
+    make, made = Placing.setup, {}
 
-    def mesh_once(placing: Placing, pad: Pad, tool: Indenter, *rest: Any) -> TetMesh:
-        key = placing, pad, tool.name, *rest
-        if key not in meshes:
-            meshes[key] = mesh(placing, pad, tool, *rest)
-        return meshes[key]
+    def once(
+        placing: Placing, sensor: Sensor, tool: Indenter, *rest: Any, **more: Any
+    ) -> PressSetup:
+        key = placing, sensor.digest, tool.name, *rest, *more.items()
+        if key not in made:
+            made[key] = make(placing, sensor, tool, *rest, **more)
+        return made[key]
 
-    patch.setattr(Placing, "mesh", mesh_once)
+    patch.setattr(Placing, "setup", once)
 
 
 def _check(json: bool) -> Call:

@@ -23,10 +23,10 @@ from taccel_lab.presses import (
     profile_material,
     simulate_press,
 )
-from taccel_lab.presses.mesh import pad_press_mesh, profile_press_mesh
+from taccel_lab.presses.mesh import pad_press_mesh, refined_press_mesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.imported import ImportResult, import_design
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.registry import profile_parameters, sensor_family
 from tests.geometry.vtu_files import read_mesh_vtu
 
 SELECTION = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:5x4",))
@@ -103,7 +103,7 @@ def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResu
     material = profile_material(profile.material, imported.mesh)
     forces = []
     for mesh in (
-        profile_press_mesh(profile, at_mm, ball.contact(0.4)),
+        refined_press_mesh(profile_parameters(profile).pad(), at_mm, ball.contact(0.4)),
         pad_press_mesh(parameters.pad(), at_mm, ball.contact(0.4)),
     ):
         outcome = simulate_press(
@@ -123,7 +123,8 @@ def test_the_mesh_of_a_press_is_fine_at_the_tool_alone(
 ) -> None:
     """No run of fTetWild makes the gel's mesh of another, so it is held against what is asked for
     at the tool, of a contact of this radius or half width, and against the gel's own far away."""
-    mesh = profile_press_mesh(imported.profile, (0.0, 0.0), parse_indenter(tool).contact(0.3))
+    pad = profile_parameters(imported.profile).pad()
+    mesh = refined_press_mesh(pad, (0.0, 0.0), parse_indenter(tool).contact(0.3))
     # An edge's 6 mm asked for 33,000 to 39,400 in ten runs.
     assert imported.mesh.tet_count < mesh.tet_count < most
     corners = 1e3 * mesh.nodes_m[mesh.tets]
@@ -145,7 +146,7 @@ def spacing_beside_mm(mesh: TetMesh) -> float:
 
 def test_presses_beside_an_imported_gel_are_refused(imported: ImportResult) -> None:
     with pytest.raises(InputError, match=r"ends .* mm away from"):
-        profile_press_mesh(imported.profile, (30.0, 0.0), 0.5)
+        refined_press_mesh(profile_parameters(imported.profile).pad(), (30.0, 0.0), 0.5)
 
 
 WINDOW = {"window_thickness_mm": 9.5}

@@ -19,7 +19,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.profile import Provenance, SensorProfile, load_profile, save_profile
-from taccel_lab.scene import Element
+from taccel_lab.scene import Element, Material
 from taccel_lab.sensors import SensorFamily, sensor_families
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor
 from taccel_lab.sensors.registry import (
@@ -32,7 +32,7 @@ from taccel_lab.sensors.registry import (
 from taccel_lab.studies.evaluate.evaluate import evaluate_designs
 from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.presses.press_batch import press_jobs, simulate
+from taccel_lab.studies.presses.press_batch import REFERENCE_PA, press_jobs, simulate
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
 from tests.sensors.imported_profiles import SIZE, imported
@@ -242,7 +242,8 @@ def test_a_curved_pad_and_its_mesh_press_alike(thickness_mm: float) -> None:
     forces = []
     for parameters in pads:
         (job,) = press_jobs(ball, parameters)
-        job = replace(job, poisson_ratios=(0.46,), friction=0.0)
+        material = Material(REFERENCE_PA, 0.46)
+        job = replace(job, setup=replace(job.setup, material=material, friction_coefficient=0.0))
         forces.append(simulate([job])[0].record.normal_n)
     assert forces[1] == pytest.approx(forces[0], rel=0.05)
 

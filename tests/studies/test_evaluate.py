@@ -47,7 +47,7 @@ def test_designs_share_what_is_the_same(tmp_path: Path, monkeypatch: pytest.Monk
         [
             gelsight("a"),
             gelsight("b", young_modulus_mpa=0.3),
-            gelsight("c", thickness_mm=4),
+            gelsight("c", thickness_mm=4.8),
             gelsight("d", density_kg_m3=1200, young_modulus_mpa=0.3),
         ],
         [SPHERE],

@@ -15,25 +15,24 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
-from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import (
     Indenter,
     PressEnv,
+    PressPath,
     PressSetup,
     layered_material,
-    normal_frame,
     parse_indenter,
 )
-from taccel_lab.presses.mesh import pad_press_mesh
+from taccel_lab.presses.frame import face_frame
 from taccel_lab.presses.outcome import contact_radii_m
 from taccel_lab.scene import Ball, Material
 from taccel_lab.sensors.base import FamilyParameters
@@ -79,29 +78,18 @@ def simulate(jobs: Sequence[PressJob], device: str = "cpu") -> list[Simulated]:
 
 def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     first = jobs[0]
-    materials = [
-        Material(REFERENCE_PA * ratio, nu)
-        for ratio, nu in zip(first.modulus_ratios, first.poisson_ratios, strict=True)
-    ]
-    indenter = parse_indenter(first.indenter)
+    indenter = first.setup.indenter
     frames = np.stack([job.gel_from_press for job in jobs])
     env = PressEnv(
-        PressSetup(
-            first.mesh,
-            layered_material(materials, first.mesh),
-            indenter,
-            friction_coefficient=first.friction,
-            physics=first.press.physics,
-            device=device,
-        ),
+        replace(first.setup, device=device),
         np.zeros((len(jobs), 2)),
-        rest_positions_m=np.stack([job.mesh.nodes_m for job in jobs]),
+        rest_positions_m=np.stack([job.setup.mesh.nodes_m for job in jobs]),
         gel_from_press=frames,
     )
     press = first.press
     thickness_mm = env.thickness_m * 1e3
     depth_mm = np.array([press.full_depth_mm(t) for t in thickness_mm])
-    meshes = [env.nodal(job.mesh) for job in jobs]
+    meshes = [env.nodal(job.setup.mesh) for job in jobs]
     surface = ContactFaceMesh.from_mesh(env.mesh)
     rest = np.stack([mesh.nodes_m for mesh in meshes])
     outputs = Outputs(env.solver)
@@ -145,7 +133,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     return [
         PressRecord(
             press=job.press.name,
-            indenter=job.indenter,
+            indenter=job.setup.indenter.name,
             place=job.place,
             mesh=meshes[i],
             surface=surface,
@@ -187,16 +175,16 @@ def _nothing(job: PressJob, cause: str, device: str) -> PressRecord:
     """The record of a press that could not be set up."""
     return PressRecord(
         press=job.press.name,
-        indenter=job.indenter,
+        indenter=job.setup.indenter.name,
         place=job.place,
-        mesh=job.mesh,
-        surface=ContactFaceMesh.from_mesh(job.mesh),
+        mesh=job.setup.mesh,
+        surface=ContactFaceMesh.from_mesh(job.setup.mesh),
         gel_from_press=job.gel_from_press,
         thickness_mm=math.nan,
         step_count=len(job.press.waypoints()),
         cause=cause,
         device=device,
-        **_stacked([], job.mesh.node_count),
+        **_stacked([], job.setup.mesh.node_count),
     )
 
 
@@ -209,41 +197,29 @@ class PressJob:
     """One indenter in one place on one gel."""
 
     press: StandardPress
-    indenter: str
     place: tuple[float, float]
     """Place as in ``StandardPress.places``."""
-    mesh: TetMesh
+    setup: PressSetup
+    """The gel on its mesh, the tool, and the physics between them."""
     gel_from_press: np.ndarray
     """Origin on the contact face, z along its normal, [7]."""
-    modulus_ratios: tuple[float, ...]
-    """Young's modulus of each layer over that of layer 0."""
-    poisson_ratios: tuple[float, ...]
-    friction: float
-
-    @cached_property
-    def _path(self) -> str:
-        """What moves how, and the meshes' connectivity apart."""
-        p = self.press
-        path = [dataclasses.astuple(point) for point in p.waypoints()]
-        rule = [p.depth_fraction, p.depth_mm, min(p.depth_limit_mm, 1e3), p.shear_fraction]
-        physics = p.physics.record()
-        return json.dumps([self.indenter, path, rule, p.twist_deg, self.friction, physics])
+    layers: tuple[Material, ...]
+    """Material of each layer, ``REFERENCE_PA`` that of layer 0."""
 
     @cached_property
     def batch_key(self) -> str:
         """Equal for jobs that can be environments of one batch."""
-        digest = hashlib.sha256(self._path.encode())
-        digest.update(json.dumps([self.modulus_ratios, self.poisson_ratios]).encode())
-        for array in (self.mesh.tets, self.mesh.faces, self.mesh.face_regions):
-            digest.update(array.tobytes())
-        digest.update(self.mesh.tet_layers.tobytes())
-        return digest.hexdigest()
+        p = self.press
+        path = [dataclasses.astuple(point) for point in p.waypoints()]
+        rule = [p.depth_fraction, p.depth_mm, min(p.depth_limit_mm, 1e3), p.shear_fraction]
+        told = [path, rule, p.twist_deg, self.setup.friction_coefficient, repr(self.layers)]
+        return hashlib.sha256((self.setup.batch_key + json.dumps(told)).encode()).hexdigest()
 
     @cached_property
     def key(self) -> str:
         """Equal for jobs whose results are, up to the modulus."""
         digest = hashlib.sha256(self.batch_key.encode())
-        digest.update(self.mesh.nodes_m.tobytes())
+        digest.update(self.setup.mesh.nodes_m.tobytes())
         digest.update(self.gel_from_press.tobytes())
         return digest.hexdigest()
 
@@ -263,24 +239,24 @@ def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[Press
             f"{depth_mm:.3g} mm is too deep for a gel of {pad.thickness_mm:.3g} mm; at most "
             f"{deepest_mm:.3g} mm, or depth_fraction in place of depth_mm"
         )
+    one_pa = REFERENCE_PA / layers[0].young_modulus_pa
+    materials = tuple(Material(one_pa * m.young_modulus_pa, m.poisson_ratio) for m in layers)
+    path = PressPath(depth_mm, (press.shear_fraction * depth_mm, 0.0), press.twist_deg)
     for text in press.indenters:
-        contact = parse_indenter(text).contact(depth_mm)
         for place in press.places:
             at = place_mm(grid, place)
-            jobs.append(
-                PressJob(
-                    press=press,
-                    indenter=text,
-                    place=place,
-                    mesh=pad_press_mesh(pad, at, contact, press.physics.mesh),
-                    gel_from_press=_frame(pad, at),
-                    modulus_ratios=tuple(
-                        m.young_modulus_pa / layers[0].young_modulus_pa for m in layers
-                    ),
-                    poisson_ratios=tuple(m.poisson_ratio for m in layers),
-                    friction=layers[-1].friction_coefficient,
-                )
+            setup = PressSetup.on_pad(
+                pad,
+                partial(layered_material, materials),
+                parse_indenter(text),
+                at,
+                path,
+                poisson_ratio=layers[0].poisson_ratio,
+                friction_coefficient=layers[-1].friction_coefficient,
+                physics=press.physics,
+                in_batch=True,
             )
+            jobs.append(PressJob(press, place, setup, face_frame(pad, at), materials))
     return jobs
 
 
@@ -289,14 +265,6 @@ def place_mm(grid: PixelGrid, place: tuple[float, float]) -> tuple[float, float]
     half = 0.5 * np.array([grid.width_px - 1, grid.height_px - 1])
     x, y = grid.gel_from_pixel(half + half * np.array(place))
     return float(x), float(y)
-
-
-def _frame(pad: Pad, at_mm: tuple[float, float]) -> np.ndarray:
-    xy = np.array(at_mm)
-    top, normal = float(pad.top_mm(xy)), pad.top_normal(xy)
-    if not (math.isfinite(top) and np.isfinite(normal).all()):
-        raise InputError(f"({at_mm[0]:.3g}, {at_mm[1]:.3g}) mm lies beside the contact face")
-    return normal_frame(np.append(xy, top) * 1e-3, normal)
 
 
 _PX = 161

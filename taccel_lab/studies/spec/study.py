@@ -27,7 +27,7 @@ from taccel_lab.studies.spec.readings import press_of, readings, split_name
 from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec
 from taccel_lab.studies.spec.study_table import Swept
 
-EVALUATION_VERSION = 4
+EVALUATION_VERSION = 5
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
 over then."""
 

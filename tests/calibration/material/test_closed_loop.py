@@ -128,12 +128,12 @@ def test_a_press_with_other_friction_is_not_that_of_the_fit(tmp_path: Path) -> N
 @pytest.mark.thorough
 def test_a_press_that_does_not_converge_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Too few Newton iterations for a deep step; nothing of it is kept for the next try."""
-    bench = GelBench(replace(gel(), physics=COARSE_FAST), ball(6.0), 1.0)
+    bench = GelBench(replace(gel(), physics=COARSE_FAST), ball(6.0), 1.0, 0.3)
     with monkeypatch.context() as patch:
         hasty = {"max_newton_iterations": 2, "max_substep_halvings": 0}
         patch.setattr(force_table, "RUBBING_LIMITS", hasty)
         with pytest.raises(SimulationError, match="did not converge"):
-            bench.pressed(bench.gel, 0.3)
-    found = bench.pressed(bench.gel, 0.3)
+            bench.pressed(bench.gel)
+    found = bench.pressed(bench.gel)
     assert found["force_n"] > 0 and found["seconds"] > 0
-    assert bench.pressed(bench.gel, 0.3)["seconds"] == found["seconds"], "taken from the cache"
+    assert bench.pressed(bench.gel)["seconds"] == found["seconds"], "taken from the cache"

@@ -26,6 +26,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.with_error import NORMAL_95
 from tests.calibration.material.made_up import (
     COARSE,
     COARSER,
@@ -114,10 +115,10 @@ def test_presses_of_mooney_and_rivlin_lie_on_their_table(monkeypatch: pytest.Mon
 def test_four_presses_and_one_between_make_a_row_of_a_table(
     monkeypatch: pytest.MonkeyPatch, kind, exponent: float, friction: float
 ) -> None:
-    def made_up(bench: GelBench, gel: Gel, friction: float) -> dict[str, np.ndarray]:
+    def made_up(bench: GelBench, gel: Gel) -> dict[str, np.ndarray]:
         depth, s = np.array([bench.depth_mm]), np.sqrt(1 - 2 * gel.material.poisson_ratio)
         force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**3 * depth)
-        return {"force_n": force, "seconds": np.array(0.5)}
+        return {"force_n": force, "error": np.array([0.01]), "seconds": np.array(0.5)}
 
     monkeypatch.setattr(GelBench, "pressed", made_up)
     tool = gel().tool(ToolEntry(kind=kind, radius_mm=2.0))
@@ -125,7 +126,7 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
     depth = table.depth_mm
     assert (table.press_count, table.seconds) == (5 * len(depth), 2.5 * len(depth))
     assert table.error.interpolation < 1e-9
-    assert ((table.error.mesh > 0.004) & (table.error.mesh < 0.05)).all()
+    assert table.error.mesh == pytest.approx(0.01 / NORMAL_95)
     for nu in (0.31, 0.45, 0.498):
         s = np.sqrt(1 - 2 * nu)
         value, _, by_nu = table.log_force(depth, nu)
