@@ -157,12 +157,18 @@ def test_faults_of_tets_are_named() -> None:
 
 
 def test_vertices_of_one_place_are_named() -> None:
+    """Two balls above one another, and a third so far that FP32 does not tell their gap."""
     v, count = BALL.vertices_m, len(BALL.vertices_m)
     low, high = int(v[:, 2].argmin()), int(v[:, 2].argmax())
-    above = v + (v[high] - v[low]) + [1e-13, 0, 0]
+    faces = np.concatenate([BALL.faces + k * count for k in range(3)])
+
+    def three(gap_m: float) -> np.ndarray:
+        return np.concatenate([v, v + (v[high] - v[low]) + [0, 0, gap_m], v + [0, 0, 0.1]])
+
+    check(three(1e-9), faces)
     words = rf"1 pairs of vertices lie at the same place: pairs \({high}, {count + low}\); merge"
     with pytest.raises(InputError, match=words):
-        check(np.concatenate([v, above]), np.concatenate([BALL.faces, BALL.faces + count]))
+        check(three(1e-11), faces)
 
 
 def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:

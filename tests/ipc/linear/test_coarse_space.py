@@ -20,7 +20,14 @@ from taccel_lab.ipc.linear.problem.row_plan import connected_rows, neighbour_clu
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
 from taccel_lab.scene import Material, Scene
-from tests.ipc.linear.systems import contact_system, mask, residuals, solve, touch_elsewhere
+from tests.ipc.linear.systems import (
+    contact_system,
+    delaunay_pattern,
+    mask,
+    residuals,
+    solve,
+    touch_elsewhere,
+)
 from tests.support.blocks import soft_block
 from tests.verification.elements import ElementForces
 
@@ -140,20 +147,19 @@ def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
 
 
 def test_clusters_are_halves_in_breadth_first_order() -> None:
-    """Against scipy's graphs, on both parts of a bar that is cut through."""
-    pattern = bar(30)[0].pattern
+    """Against scipy's graphs, on the pieces that a fifth of the rows of an irregular mesh makes."""
+    rng = np.random.default_rng(0)
+    pattern = delaunay_pattern(rng, 300, 20)
     coupled = csr_array(pattern.dense(np.ones((1, pattern.block_count, 3, 3)))[0][::3, ::3])
-    rows = np.arange(pattern.free_count)
-    rows = rows[rows % 29 != 14]  # All but one layer of 29.
+    rows = np.flatnonzero(rng.random(pattern.free_count) < 0.2)
     count, label = connected_components(coupled[rows][:, rows])
     found = connected_rows(pattern, rows)
-    assert count == len(found) == 2
+    assert count == len(found) == 6 and max(map(len, found)) == 48
     for k, part in enumerate(found):
         np.testing.assert_array_equal(part, rows[label == k])
-        near = coupled[part][:, part]
-        last = breadth_first_order(near, 0)[0][-1]
-        order = part[breadth_first_order(near, last)[0]]
-        cut = len(part) // 2
-        halves = neighbour_clusters(pattern, part, -(-len(part) // 2))
-        for half, expected in zip(halves, (order[:cut], order[cut:]), strict=True):
-            np.testing.assert_array_equal(half, np.sort(expected))
+        near, cut = coupled[part][:, part], len(part) // 2
+        order = part[breadth_first_order(near, breadth_first_order(near, 0)[0][-1])[0]]
+        halves = [order[:cut], order[cut:]] if cut else [part]
+        clusters = neighbour_clusters(pattern, part, max(1, -(-len(part) // 2)))
+        for cluster, half in zip(clusters, halves, strict=True):
+            np.testing.assert_array_equal(cluster, np.sort(half))
