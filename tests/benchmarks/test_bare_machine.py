@@ -32,6 +32,7 @@ for name in SCENES:
         assert build_scene(name, SceneOptions(source="generated")).steps > 10
 options = {"scene": ("press_239",), "source": "published", "steps": 2, "repeats": 1}
 Speed(**options, check=True, startup=False, out=Path(sys.argv[1])).run()
+assert not [name for name in sys.modules if name.startswith("taccel_lab.cad")]
 """
 
 
