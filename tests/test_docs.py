@@ -18,6 +18,7 @@ from taccel_lab.scene import Element
 from tests.cli.test_press import FILES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401
 from tests.support.variants import variants
+from tools.bench import __main__ as tools_bench
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -96,13 +97,16 @@ def test_python_runs(
             exec(code, names)
 
 
+PROGRAMS = {"taccel-lab ": parse, "python -m tools.bench ": tools_bench.parse}
+
+
 def commands(page: Path) -> list[str]:
     """Lines of a page that call us, a command a line, without what is shell."""
     found = []
     for block in blocks(page, "", "sh", "bash", "console", "text"):
         for line in block.replace("\\\n", " ").splitlines():
             line = line.strip().removeprefix("$ ")
-            if line.startswith("taccel-lab "):
+            if line.startswith(tuple(PROGRAMS)):
                 found.append(line)
     return found
 
@@ -117,11 +121,12 @@ CALLS = [
 @pytest.mark.parametrize("line", CALLS)
 def test_commands_are_there(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    words = shlex.split(line, comments=True)[1:]
+    program = next(filter(line.startswith, PROGRAMS))
+    words = shlex.split(line.removeprefix(program), comments=True)
     for sign in ("|", ">", "&&", "&", ";"):
         words = words[: words.index(sign)] if sign in words else words
     try:
-        parse(words)
+        PROGRAMS[program](words)
     except SystemExit as left:  # --help and --version
         assert left.code in (0, None), f"{line}: exit code {left.code}"
 
@@ -202,8 +207,11 @@ def sources() -> list[str]:
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=named)
 def test_source_files_that_pages_name_are_there(page: Path) -> None:
-    named_here = re.findall(r"`([\w/]+/\w+\.py)`", page.read_text(encoding="utf-8"))
+    text = page.read_text(encoding="utf-8")
+    named_here = re.findall(r"`([\w/]+/\w+\.py)`", text)
     gone = [name for name in named_here if not any(path.endswith(f"/{name}") for path in sources())]
+    folders = re.findall(r"`((?:taccel_lab|cad|calibration|sensors|tools|tests)/[\w/]+)`", text)
+    gone += [name for name in folders if not (ROOT / name).exists()]
     assert not gone, f"{page.name} names files that are not there: {', '.join(gone)}"
 
 
