@@ -9,10 +9,12 @@ ones with nodes at the same places. The motion is quasi-static.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config, pad, straight
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 
@@ -65,6 +67,9 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 
 def domed_pad(motion: PressMotion, coarser: int) -> TetMesh:
     """The catalogue's GelSight with 2,005 nodes, or with edges ``coarser`` times as long."""
+    for name in ("scipy", "threadpoolctl"):
+        if find_spec(name) is None:
+            raise InputError(f"presses of the catalogue's pad are meshed by {name}: install it")
     from taccel_lab.presses import PressMeshOptions
     from taccel_lab.presses.mesh import press_mesh
 
