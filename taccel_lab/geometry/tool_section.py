@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.contact_sweep import ContactSweep
+
+_ON_OUTLINE = 0.02
+"""Distance from an outline, over the root of its area, up to which sides count as its own."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,9 @@ class ToolSection:
     """Part of the outline's area that the tool fills: 1 of a punch, a half of a grating."""
     depth_mm: float
     """Depth of the press."""
+    relief_mm: float = math.inf
+    """Mean width of what stands out, and of what lies between, inside the outline: its area over
+    the length of the sides in it. Infinite where there are none."""
 
     def __post_init__(self) -> None:
         outline = self.outline_mm
@@ -48,7 +55,11 @@ class ToolSection:
         area = 0.5 * float((begin[:, 0] * end[:, 1] - begin[:, 1] * end[:, 0]).sum())
         # A tool that goes in whole has no section there: its shadow counts.
         filled = min(area / hull.volume, 1.0) if len(sides) else 1.0
-        return ToolSection(points[hull.vertices], filled, depth_mm)
+        to_outline = -(0.5 * (begin + end) @ hull.equations[:, :2].T + hull.equations[:, 2])
+        within = to_outline.min(axis=1, initial=math.inf) > _ON_OUTLINE * math.sqrt(hull.volume)
+        length = float(np.linalg.norm(end - begin, axis=1)[within].sum())
+        relief_mm = hull.volume / length if length else math.inf
+        return ToolSection(points[hull.vertices], filled, depth_mm, relief_mm)
 
     def moved(self, sweep: ContactSweep) -> ToolSection:
         """Section at the end of the tool's way over the gel."""

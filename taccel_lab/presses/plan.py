@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.contact_sweep import ContactSweep
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.geometry.tool_section import ToolSection
@@ -20,7 +23,7 @@ from taccel_lab.presses.mesh import is_beside_edge, refined_press_mesh
 from taccel_lab.presses.options import PressOptions
 from taccel_lab.presses.photo import PhotoReader, PressPhoto
 from taccel_lab.presses.sweep import path_contact
-from taccel_lab.presses.touch import check_depth
+from taccel_lab.presses.touch import check_depth, element_m
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.assumed import is_modulus_known
@@ -36,6 +39,10 @@ if TYPE_CHECKING:
     from taccel_lab.presses import Indenter, PressPath, PressPhysics
     from taccel_lab.presses.outcome import SeenFrom
     from taccel_lab.profile import SensorProfile
+
+
+RESOLVED = 4
+"""Elements along the width of a tool's relief that a press of it needs."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +135,7 @@ class PressPlan:
         if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
             words = size_words(self.indenter.shape.vertices_m)
             found.append(f"{self.options.indenter} is {words}")
+        found += self._unresolved()
         aside = any((*self.options.shear_mm, self.options.twist_deg))
         if aside and self.friction == 0 and isinstance(self.indenter.shape, TriangleMesh):
             # A punch that has 1 mm to go takes 9.8 % too much; after a way it is right.
@@ -136,6 +144,29 @@ class PressPlan:
                 "its last step, and forces of steps before it may be a tenth too large"
             )
         return found
+
+    def _unresolved(self) -> list[str]:
+        """Say which relief of the tool is finer than the elements that meet it."""
+        contact, texture = self.indenter.contact(self.first_mm), self.indenter.texture
+        widths = {
+            "tool": contact.relief_mm if isinstance(contact, ToolSection) else math.inf,
+            "texture": math.inf if texture is None else 1e3 * texture.relief_width_m,
+        }
+        if min(widths.values()) == math.inf:
+            return []
+        faces, at_m = self.gel.region_faces(Region.CONTACT), 1e-3 * np.array(self.options.at_mm)
+        element_mm = 1e3 * element_m(self.gel.nodes_m, faces, at_m)
+        then = {
+            "tool": "force and heights may be those of a smoother tool",
+            "texture": "images show it, but the force is that of its mean surface",
+        }
+        return [
+            f"the {name}'s relief is about {width_mm:.2g} mm wide, finer than the gel's elements "
+            f"resolve: they are {element_mm:.2g} mm long there and {RESOLVED} are needed along a "
+            f"width; {then[name]}"
+            for name, width_mm in widths.items()
+            if width_mm < RESOLVED * element_mm
+        ]
 
     @cached_property
     def gel(self) -> TetMesh:

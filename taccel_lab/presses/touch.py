@@ -61,10 +61,10 @@ def require_resolved(
     if len(at_m) and len(contact):
         nodes = mesh.nodes_m if rest_m is None else np.asarray(rest_m)[0]
         seen = frames.points_in_press(0, nodes)
-        indenter.require_size(element_mm=1e3 * _element_m(seen, contact, at_m[0]))
+        indenter.require_size(element_mm=1e3 * element_m(seen, contact, at_m[0]))
 
 
-def _element_m(positions: np.ndarray, faces: np.ndarray, at_m: np.ndarray) -> float:
+def element_m(positions: np.ndarray, faces: np.ndarray, at_m: np.ndarray) -> float:
     """Longest edge [m] of the face nearest to an axis; see ``first_touch_m``."""
     corners = positions[faces]
     nearest = ((corners[..., :2].mean(axis=1) - at_m) ** 2).sum(axis=1).argmin()

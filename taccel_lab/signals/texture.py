@@ -75,6 +75,14 @@ class Texture:
         """How deep the mean surface lies below the highest point [m]."""
         return self.depth_m * float(self.heights.max() - self.heights.mean())
 
+    @property
+    def relief_width_m(self) -> float:
+        """Mean width of what stands out over the mean, and of what lies between [m]: area over the
+        length of the borders, along rows and columns."""
+        over = self.heights > self.heights.mean()
+        borders = sum(int(np.diff(over, axis=axis).sum()) for axis in (0, 1))
+        return self.width_m / over.shape[1] * over.size / max(borders, 1)
+
     def relief_m(self) -> np.ndarray:
         """How far the surface stands out over its mean [m], [row, column]."""
         return self.depth_m * (self.heights - self.heights.mean())
