@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from taccel_lab.calibration.base_profile import (
     require_labels_and_view,
     with_measured_scale,
 )
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
+from taccel_lab.calibration.capture.captures import CaptureSet, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.run import (
@@ -28,20 +28,20 @@ from taccel_lab.calibration.check.run import (
     refusing_with,
 )
 from taccel_lab.calibration.circles.ball_surface import (
-    BallSurface,
     ball_surface,
     layer_of,
     layer_surfaces,
+    sunk_share,
 )
-from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
-from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.response.frame import FittedPresses, HeldoutSet
 from taccel_lab.calibration.result import BlockResult, Placed, in_figures
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
+from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.light import LightDrift
 from taccel_lab.report.remark import Remark
@@ -80,36 +80,20 @@ class BallPresses:
     captures: CaptureSet
     """All presses."""
     split: PressSplit
-    training: CaptureSet
-    """Presses to fit that show a contact."""
-    circles: list[ContactCircle]
-    """Where the training presses are taken to be, in order."""
-    circle_sigmas_px: list[tuple[float, float]]
-    """Standard deviations of their centres along an axis and of their radii."""
-    labels: LabelPlacement
-    """How labels lie against these circles, which says where held-out presses are."""
+    fitted: FittedPresses
+    """Presses to fit that show a contact, and those that only the figures see."""
     lost: tuple[Remark, ...]
     """Blocks of the profile that do not fit the captures' grid."""
     findings: tuple[Remark, ...]
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
     """Presses left out, and those that are fitted without the labels that their images reject."""
-    surfaces: tuple[BallSurface, ...]
-    """Surfaces of the training presses in their circles, in order."""
 
     @property
     def untouched(self) -> Untouched | None:
         """The background that they are fitted against; None where the profile has none."""
         block, image = self.profile.background, self.profile.background_rgb
         return None if block is None or image is None else Untouched(block, image)
-
-    @cached_property
-    def heldout(self) -> HeldoutSet:
-        """Presses that only the figures see, on the profile's gel."""
-        grid = self.captures.grid
-        layer, rest = layer_of(self.profile), rest_surface(self.profile.mesh, grid)
-        on_gel = partial(ball_surface, grid=grid, layer=layer, rest=rest)
-        return HeldoutSet.of(self.captures, self.split, on_gel)
 
 
 def ball_presses(
@@ -160,20 +144,33 @@ def ball_presses(
         ("surfaces", captures.grid, split, options.circles, layer),
         lambda: tuple(layer_surfaces(usable.captures, usable.circles, layer, rest)),
     )
+    on_gel = partial(ball_surface, grid=captures.grid, layer=layer, rest=rest)
     extended = with_background(extended, folder)
+    typical_mm = float(np.median([circle.radius_px for circle in usable.circles]))
+    typical_mm *= captures.grid.mm_per_px_x
     return BallPresses(
         profile=extended,
         gel=gel,
         captures=captures,
         split=split,
-        training=usable.captures,
-        circles=usable.circles,
-        circle_sigmas_px=usable.sigmas_px,
-        labels=usable.labels,
+        fitted=FittedPresses(
+            usable.captures,
+            usable.circles,
+            surfaces,
+            HeldoutSet.of(captures, split, on_gel),
+            circle_sigmas_px=usable.sigmas_px,
+            labels=usable.labels,
+            background=extended.background_rgb,
+            rest=rest,
+            pad=layer,
+            scale_share=scale_sigma(extended.camera),
+            thickness_share=sunk_share(
+                thickness_interval_mm(extended.gel), typical_mm, captures.ball_radius_mm, layer
+            ),
+        ),
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
         remarks=(*usable.remarks, *_without_label(captures.only(split.train))),
-        surfaces=surfaces,
     )
 
 

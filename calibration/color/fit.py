@@ -8,16 +8,12 @@ fit is made to all presses: profiles get that one, with the scores of the first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import ball_presses
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions, ColorTraining
 from taccel_lab.calibration.color.result import (
@@ -39,8 +35,8 @@ from taccel_lab.calibration.remarks import (
 )
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
+    FittedPresses,
     HeldoutFailure,
-    HeldoutSet,
     PressFrame,
     noise_floor_l1,
     place_region,
@@ -95,59 +91,40 @@ def calibrate_color(
     )
     presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
-    found = fit_color(
-        presses.training,
-        presses.circles,
-        presses.surfaces,
-        presses.heldout,
-        options=settings,
-        background=presses.profile.background_rgb,
-        labels=presses.labels,
-        table=options.table,
-        progress=progress,
-    )
+    found = fit_color(presses.fitted, settings, table=options.table, progress=progress)
     remarks = (*presses.lost, *findings, *presses.remarks, *found.remarks)
     return replace(found, gel=presses.gel, untouched=presses.untouched, remarks=remarks)
 
 
 @one_thread()
 def fit_color(
-    captures: CaptureSet,
-    circles: Sequence[ContactCircle],
-    surfaces: Sequence[BallSurface],
-    heldout: HeldoutSet | None = None,
-    *,
+    presses: FittedPresses,
     options: ColorFitOptions = ColorFitOptions(),
-    background: np.ndarray | None = None,
-    labels: LabelPlacement | None = None,
+    *,
     table: bool = False,
     progress: Progress = silent,
 ) -> ColorCalibration:
-    """Fit the colour model to ``captures`` and score it on ``heldout``.
+    """Fit the colour model to ``presses`` and score it on those that they hold out.
 
     Args:
-        captures: The training presses alone.
-        circles: Their contact circles, in order.
-        surfaces: Their surfaces, in order.
-        heldout: Presses that are read when the model is frozen; None leaves figures out.
+        presses: Presses in their circles.
         options: Settings of the fit.
-        background: Untouched sensor to fit and render on, levels; that of ``captures`` when None.
-        labels: Where labels put held-out presses; by ``circles`` when None.
         table: Fit Taxim's table too, as a baseline and for export.
         progress: Told what is done.
 
     Raises:
         InputError: Numbers that do not match, a press on both sides, or captures no fit can take.
     """
-    frames = press_frames(captures, circles, surfaces)
+    captures, heldout = presses.captures, presses.heldout
+    frames = press_frames(captures, presses.circles, presses.surfaces)
     if heldout is not None:
         both = {p.name for p in captures.presses} & {p.name for p in heldout.captures.presses}
         if both:
             raise InputError(f"{', '.join(sorted(both))}: held out and fitted at once")
-    scene = CaptureScene.of(captures, background)
+    scene = CaptureScene.of(captures, presses.background)
     fit = fit_color_model(frames, scene, options, progress)
     taxim = fit_taxim_table(frames, scene, fit.drifts) if table else None
-    labels = labels or LabelPlacement.of(captures.presses, circles)
+    labels = presses.placement
     held: list[HeldoutPress] = []
     failures: list[HeldoutFailure] = []
     joining: list[PressFrame] = []
@@ -177,7 +154,7 @@ def fit_color(
         label_shift=labels,
         noise_floor_l1=float(np.nanmean(floors)) if np.isfinite(floors).any() else float("nan"),
         captures=captures,
-        surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
+        surface_provider=", ".join(sorted({surface.provider for surface in presses.surfaces})),
         valid_region={
             **place_region(every),
             STEEPEST: (0.0, last.cone_deg),
@@ -186,7 +163,7 @@ def fit_color(
                 max(float(mm.max()) for mm in displacements),
             ),
         },
-        circles=tuple(circles),
+        circles=tuple(presses.circles),
         table=taxim,
         table_scores=[] if taxim is None else [_by_table(taxim, item, scene) for item in held],
     )

@@ -16,18 +16,10 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.check.remarks import BALL_OR_DIAMETER
 from taccel_lab.calibration.check.run import joined
-from taccel_lab.calibration.circles.ball_surface import (
-    BallSurface,
-    depth_share,
-    diameter_share,
-    layer_of,
-    sunk_share,
-)
-from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.ball_surface import depth_share, diameter_share, layer_of
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.distilling import distilled
@@ -47,7 +39,7 @@ from taccel_lab.calibration.remarks import (
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
     CircleSigma,
-    HeldoutSet,
+    FittedPresses,
     PressFrame,
     in_background_light,
     noise_floor_l1,
@@ -57,13 +49,11 @@ from taccel_lab.calibration.response.frame import (
 from taccel_lab.calibration.response.training import one_thread
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 CHECKED = 16
 """Synthetic presses that the networks never see and heights are judged by."""
@@ -95,33 +85,13 @@ def calibrate_normals(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
     )
     presses = ball_presses(folder, base, "normals", options, progress)
-    training, circles = presses.training, presses.circles
-    profile = presses.profile
-    pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
-    typical_mm = float(np.median([circle.radius_px for circle in circles]))
-    typical_mm *= training.grid.mm_per_px_x
-    by_gel = sunk_share(
-        thickness_interval_mm(profile.gel), typical_mm, training.ball_radius_mm, pad
-    )
-    found = fit_normals(
-        training,
-        circles,
-        presses.surfaces,
-        presses.heldout,
-        rest=rest,
-        options=settings,
-        circle_sigmas_px=presses.circle_sigmas_px,
-        labels=presses.labels,
-        background=profile.background_rgb,
-        pad=pad,
-        colors=_unseeing_colors(presses),
-        scale_share=scale_sigma(profile.camera),
-        thickness_share=by_gel,
-        progress=progress,
-    )
+    found = fit_normals(presses.fitted, settings, _unseeing_colors(presses), progress)
     if any(finding.code == BALL_OR_DIAMETER.code for finding in presses.findings):
-        widest_mm = max(circle.radius_px for circle in circles) * training.grid.mm_per_px_x
-        found = replace(found, ball_share=diameter_share(widest_mm, training.ball_radius_mm, pad))
+        circles, captures = presses.fitted.circles, presses.captures
+        widest_mm = max(circle.radius_px for circle in circles) * captures.grid.mm_per_px_x
+        layer = layer_of(presses.profile)
+        share = diameter_share(widest_mm, captures.ball_radius_mm, layer)
+        found = replace(found, ball_share=share)
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
     return replace(
         found, circles=options.circles, gel=presses.gel, untouched=presses.untouched,
@@ -134,52 +104,31 @@ def _unseeing_colors(presses: BallPresses) -> ColorModel | None:
     them would pass on what they know."""
     block = presses.profile.color
     seen = set() if block is None else set(block.provenance.inputs.values())
-    if any(press.sha256 in seen for press in presses.heldout.captures.presses):
+    held = presses.fitted.heldout
+    if held is not None and any(press.sha256 in seen for press in held.captures.presses):
         return None
     return ColorModel.from_profile(presses.profile)
 
 
 @one_thread()
 def fit_normals(
-    captures: CaptureSet,
-    circles: Sequence[ContactCircle],
-    surfaces: Sequence[BallSurface],
-    heldout: HeldoutSet | None = None,
-    *,
-    rest: RestSurface | None = None,
+    presses: FittedPresses,
     options: InverseFitOptions = InverseFitOptions(),
-    circle_sigmas_px: Sequence[CircleSigma] | None = None,
-    labels: LabelPlacement | None = None,
-    background: np.ndarray | None = None,
-    pad: BondedLayer | None = None,
     colors: ColorModel | None = None,
-    scale_share: float = 0.0,
-    thickness_share: float = 0.0,
     progress: Progress = silent,
 ) -> NormalCalibration:
-    """Fit the inverse model to ``captures`` and score it on ``heldout``.
+    """Fit the inverse model to ``presses`` and score it on those that they hold out.
 
     Args:
-        captures: The training presses alone.
-        circles: Contact circle of each press, in order.
-        surfaces: Gel surface of each press, in order.
-        heldout: Presses that are read when the model is frozen; None leaves figures out.
-        rest: The undeformed face; flat if None.
+        presses: Presses in their circles, and what is known of their gel.
         options: Settings of the networks and their fit.
-        circle_sigmas_px: What each circle may be off by; nothing when None.
-        labels: Where labels put held-out presses; by ``circles`` when None.
-        background: What images will be compared with, RGB levels; that of the captures when None.
-        pad: The gel, for synthetic presses; without it there are none.
-        colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
-        scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
-        thickness_share: That of depths by the thickness of ``pad``, as a share of them.
+        colors: Colours of the sensor, for synthetic presses; fitted to ``presses`` when None.
         progress: Told of the fit's steps.
     """
-    scene = CaptureScene.of(captures, background, rest)
-    training = [
-        replace(frame, image=in_background_light(frame.image, scene))
-        for frame in press_frames(captures, circles, surfaces, circle_sigmas_px)
-    ]
+    captures, heldout, pad = presses.captures, presses.heldout, presses.pad
+    scene = CaptureScene.of(captures, presses.background, presses.rest)
+    frames = press_frames(captures, presses.circles, presses.surfaces, presses.circle_sigmas_px)
+    training = [replace(frame, image=in_background_light(frame.image, scene)) for frame in frames]
     sigmas = [frame.circle_sigma_px for frame in training]
     drawn, unseen = iter(()), iter(())
     if pad is not None and options.synthetic_presses:
@@ -195,13 +144,14 @@ def fit_normals(
     radius_px = min(radius for _, radius in sigmas)
     share = depth_share(
         [(frame.surface, frame.circle) for frame in training],
-        radius_px, captures.ball_radius_mm, captures.grid, scale_share, thickness_share,
+        radius_px, captures.ball_radius_mm, captures.grid,
+        presses.scale_share, presses.thickness_share,
     )  # fmt: skip
     model, synthetic = with_reading_errors(model, checked, balls, scene, share)
     frozen, final, every, items, failures = model.config, None, training, (), {}
     if heldout is not None:
-        labels = labels or LabelPlacement.of(captures.presses, circles)
-        held = read_heldout(model, heldout, labels, scene, _typical(sigmas), progress)
+        where = presses.placement
+        held = read_heldout(model, heldout, where, scene, _typical(sigmas), progress)
         model, items, failures = held.model, held.items, held.failures
         joining = held.joining()
         every = [*training, *joining]
@@ -229,7 +179,7 @@ def fit_normals(
         source=source_of(captures.provenance, captures.source),
         provenance=captures.provenance,
         circles="given",
-        surfaces=surfaces[0].provider,
+        surfaces=presses.surfaces[0].provider,
         valid_region={
             **place_region(every),
             "surface_tilt_deg": (0.0, _shown(every, scene)["cone_deg"]),

@@ -28,6 +28,7 @@ from taccel_lab.calibration.circles.usable import place_heldout
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.image_measures import crop_slices, psnr_db, ssim
+from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.reading.light import (
     PRIOR_SIGMA,
     LightDrift,
@@ -212,6 +213,39 @@ class HeldoutSet:
                 yield press, PressFrame(press.name, image, circle, surface, press.sha256)
             except InputError as error:
                 yield HeldoutFailure(press.name, str(error), press.mislabelled)
+
+
+@dataclass(frozen=True)
+class FittedPresses:
+    """Presses that a model is fitted to, where they are, on their gel, and those that judge it."""
+
+    captures: CaptureSet
+    """The training presses alone."""
+    circles: Sequence[ContactCircle]
+    """Where they are taken to be, in order."""
+    surfaces: Sequence[BallSurface]
+    """Surfaces of the gel in these circles, in order."""
+    heldout: HeldoutSet | None = None
+    """Presses that are read when the model is frozen; None leaves figures out."""
+    circle_sigmas_px: Sequence[CircleSigma] | None = None
+    """What each circle may be off by; nothing when None."""
+    labels: LabelPlacement | None = None
+    """How labels lie, which says where held-out presses are; by ``circles`` when None."""
+    background: np.ndarray | None = None
+    """Untouched sensor to fit against, RGB levels; that of the captures when None."""
+    rest: RestSurface | None = None
+    """The undeformed face; flat if None."""
+    pad: BondedLayer | None = None
+    """The gel, for synthetic presses; without it there are none."""
+    scale_share: float = 0.0
+    """Standard deviation of the scale of the pixel grid, as a share of it."""
+    thickness_share: float = 0.0
+    """Standard deviation of depths by the thickness of ``pad``, as a share of them."""
+
+    @property
+    def placement(self) -> LabelPlacement:
+        """How labels lie against the circles."""
+        return self.labels or LabelPlacement.of(self.captures.presses, self.circles)
 
 
 def light_beside(

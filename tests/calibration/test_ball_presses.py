@@ -34,25 +34,26 @@ def test_a_wrong_label_and_an_untouched_frame_harm_no_other_press(
     true = maker.labels[held]
     maker.labels[held] = replace(true, radius_px=24.0)
     found, codes = presses("held out")
-    assert found.heldout.captures.rejected == {f"p{held:02d}"}
+    assert found.fitted.heldout is not None
+    assert found.fitted.heldout.captures.rejected == {f"p{held:02d}"}
     assert found.split.heldout == sound.split.heldout
     assert "labels_unused" not in codes
     maker.labels[held] = true
 
-    names = [press.name for press in sound.training.presses]
+    names = [press.name for press in sound.fitted.captures.presses]
     wrong, gone = (int(name[1:]) for name in names[:2])
     label = maker.labels[wrong]
     maker.labels[wrong] = replace(label, u_px=label.u_px + (22.0 if label.u_px < 80 else -22.0))
     maker.change([gone], lambda _: gel())
     found, codes = presses("spoilt")
-    assert [press.name for press in found.training.presses] == [names[0], *names[2:]]
-    kept = [sound.circles[0], *sound.circles[2:]]
-    for circle, before in zip(found.circles, kept, strict=True):
+    assert [press.name for press in found.fitted.captures.presses] == [names[0], *names[2:]]
+    kept = [sound.fitted.circles[0], *sound.fitted.circles[2:]]
+    for circle, before in zip(found.fitted.circles, kept, strict=True):
         assert circle.center_gap_px(before, found.captures.grid) < 0.7
         assert abs(circle.radius_px - before.radius_px) < 0.7
-    assert (abs(found.labels.mean_px - sound.labels.mean_px) < 0.3).all()
-    assert (found.labels.deviation_px < sound.labels.deviation_px + 0.3).all()
+    assert (abs(found.fitted.placement.mean_px - sound.fitted.placement.mean_px) < 0.3).all()
+    assert (found.fitted.placement.deviation_px < sound.fitted.placement.deviation_px + 0.3).all()
     assert {"labels_unused", "presses_left_out"} <= codes and "labels_off" not in codes
     # Who asks for the labels gets them, with a remark.
     asked, codes = presses("labels", circles="labels")
-    assert asked.circles[0] == maker.labels[wrong] and "labels_off" in codes
+    assert asked.fitted.circles[0] == maker.labels[wrong] and "labels_off" in codes

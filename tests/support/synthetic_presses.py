@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.response.frame import HeldoutSet, PressFrame
+from taccel_lab.calibration.response.frame import FittedPresses, HeldoutSet, PressFrame
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
@@ -177,13 +177,8 @@ def calibrated(
         captures = replace(captures, heldout=heldout_names)
     split = captures.split(holdout_every)
     training = captures.only(split.train)
-    return fit_color(
-        training,
-        circles_of(training),
-        [surfaces[i] for i in split.train],
-        HeldoutSet.of(captures, split, true_surface),
-        **more,
-    )
+    known, held = [surfaces[i] for i in split.train], HeldoutSet.of(captures, split, true_surface)
+    return fit_color(FittedPresses(training, circles_of(training), known, held), **more)
 
 
 def with_images(

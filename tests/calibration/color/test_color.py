@@ -18,7 +18,7 @@ from taccel_lab.calibration.color.network_fit import ColorSamples, fit_color_mod
 from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.normals.options import InverseFitOptions
-from taccel_lab.calibration.response.frame import CaptureScene, HeldoutSet
+from taccel_lab.calibration.response.frame import CaptureScene, FittedPresses, HeldoutSet
 from taccel_lab.calibration.unfinished import BlockOutcome, BlockState, UnfinishedCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -110,9 +110,11 @@ def test_the_steepest_ball_bounds_what_slopes_may_do(steps: int) -> None:
     (lambda *_: ColorFitOptions(learning_rate=-1.0), "learning_rate must lie in"),
     (lambda *_: ColorFitOptions(huber_levels=1e3), r"lie in \(0, 1000\), got 1000"),
     (lambda *_: InverseFitOptions(learning_rate=1.0), r"learning_rate .* \(0, 1\), got 1"),
-    (lambda c, s, scene: fit_color(c, [], s), "3 presses need as many circles and surfaces"),
-    (lambda c, s, scene: fit_color(
-        c, synthetic.circles_of(c), s, HeldoutSet(c.only([1]), c.split(2), synthetic.true_surface)),
+    (lambda c, s, scene: fit_color(FittedPresses(c, [], s)),
+     "3 presses need as many circles and surfaces"),
+    (lambda c, s, scene: fit_color(FittedPresses(
+        c, synthetic.circles_of(c), s,
+        HeldoutSet(c.only([1]), c.split(2), synthetic.true_surface))),
      "p1: held out and fitted at once"),
     (lambda c, s, scene: fit_color_model(
         frames_of(c, s), replace(scene, mask=np.zeros((120, 160), bool)), QUICK), "masked"),

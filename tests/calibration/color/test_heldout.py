@@ -20,7 +20,7 @@ from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.response.frame import FittedPresses, HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Severity, Verdict, judge
@@ -174,7 +174,8 @@ def test_a_press_without_a_surface_or_left_out_by_a_person_counts(sound: Sound) 
 
     training, known = captures.only(split.train), [surfaces[i] for i in split.train]
     held = HeldoutSet.of(captures, split, stubborn)
-    result = fit_color(training, synthetic.circles_of(training), known, held, options=BRIEF)
+    presses = FittedPresses(training, synthetic.circles_of(training), known, held)
+    result = fit_color(presses, BRIEF)
     assert [failure.name for failure in result.failures] == [bad]
     assert {item.name for item in result.heldout} == set(others)
     stated = (*split.heldout_names, "p99")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.response.frame import HeldoutSet, SurfaceOf
+from taccel_lab.calibration.response.frame import FittedPresses, HeldoutSet, SurfaceOf
 from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.synthetic_presses import (
@@ -73,12 +73,15 @@ def calibrated(
     surface_of: SurfaceOf = true_surface,
     **changes: object,
 ) -> NormalCalibration:
+    known_of = {item.name for item in fields(FittedPresses)} & changes.keys()
     settings: dict[str, Any] = {"options": QUICK} | changes
+    more = {name: settings.pop(name) for name in known_of}
     split = captures.split(4)
     training, known = captures.only(split.train), [surfaces[i] for i in split.train]
     held = HeldoutSet.of(captures, split, surface_of)
     with short_color_fits():  # fixtures of the whole run come before those of a test
-        return fit_normals(training, circles_of(training), known, held, **settings)
+        presses = FittedPresses(training, circles_of(training), known, held, **more)
+        return fit_normals(presses, **settings)
 
 
 def changed(

@@ -22,7 +22,7 @@ from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import angle_between_deg, ball_center_px, ball_normals
-from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSet
+from taccel_lab.calibration.response.frame import EXACT, CaptureScene, FittedPresses, HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
@@ -107,7 +107,9 @@ def test_noisy_captures_err_as_expected() -> None:
 @pytest.mark.parametrize(("count", "verdict"), [(3, Verdict.WEAK), (5, Verdict.USABLE)])
 def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) -> None:
     captures, surfaces = synthetic_captures(count, noise=1.0)
-    result = fit_normals(captures, circles_of(captures), surfaces, options=replace(QUICK, steps=20))
+    result = fit_normals(
+        FittedPresses(captures, circles_of(captures), surfaces), replace(QUICK, steps=20)
+    )
     assert judge(r for r in result.remarks if r.code == "too_few") is verdict
 
 
@@ -117,7 +119,7 @@ def test_a_wrong_circle_stands_out_where_its_press_was_left_out() -> None:
     circles = circles_of(captures)
     circles[4] = replace(circles[4], u_px=circles[4].u_px + 5)
     surfaces[4] = true_surface(circles[4], BALL_RADIUS_MM)
-    result = fit_normals(captures, circles, surfaces, options=QUICK)
+    result = fit_normals(FittedPresses(captures, circles, surfaces), QUICK)
     errors = result.fit.left_out_deg
     assert max(errors, key=lambda name: errors[name]) == "p4"
     assert errors["p4"] > 2 * np.median(list(errors.values()))
@@ -280,10 +282,12 @@ def test_grey_captures_are_called_so() -> None:
 
 @pytest.mark.parametrize(("call", "words"), [
     (lambda c, s: InverseTraining([], CaptureScene.of(c, None), QUICK), "at least one press"),
-    (lambda c, s: fit_normals(c, [], s), "3 presses need as many circles and surfaces"),
+    (lambda c, s: fit_normals(FittedPresses(c, [], s)),
+     "3 presses need as many circles and surfaces"),
     (lambda c, s: InverseFitOptions(members=0), "members must be at least 1"),
     (lambda c, s: InverseFitOptions(position_bands=9), r"-bands of .* must lie in \[0, 8\], got 9"),
-    (lambda c, s: fit_normals(replace(c, mask=c.mask & False), circles_of(c), s, options=QUICK),
+    (lambda c, s: fit_normals(
+        FittedPresses(replace(c, mask=c.mask & False), circles_of(c), s), QUICK),
      "masked|usable"),
     (lambda c, s: Reader(tiny_profile(GRID)), "neither a normals nor a depth_response"),
 ])  # fmt: skip
@@ -361,7 +365,7 @@ def test_synthetic_presses_do_not_take_colours_that_have_seen_held_out_ones(
     base = base.without("color").with_block(block, base.color_weights)
     given: list[object] = []
 
-    def look(*_: object, colors: object, **__: object) -> None:
+    def look(_: object, __: object, colors: object, *___: object) -> None:
         given.append(colors)
         raise InputError("looked at")
 

@@ -15,7 +15,7 @@ import pytest
 from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_surfaces
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.response.frame import FittedPresses, HeldoutSet
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.normals.conftest import PAD
 from tests.support.real_data import labelled_presses
@@ -53,11 +53,11 @@ def test_held_out_presses(
     training = captures.only(split.train)
     usable, flat = usable_circles(training, cache=False), flat_rest(training.grid)
     on_pad = partial(ball_surface, grid=training.grid, layer=PAD, rest=flat)
-    result = fit_normals(
+    result = fit_normals(FittedPresses(
         usable.captures, usable.circles,
         layer_surfaces(usable.captures, usable.circles, PAD, flat),
         HeldoutSet.of(captures, split, on_pad), circle_sigmas_px=usable.sigmas_px, pad=PAD,
-    )  # fmt: skip
+    ))  # fmt: skip
     assert result.reliability is not None and result.synthetic is not None
     assert result.reliability.within_95 > 0.85 and 0.7 < result.reliability.ratio() < 1.4
     held = result.figures()["heldout"]
