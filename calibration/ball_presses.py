@@ -117,7 +117,8 @@ def ball_presses(
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         as_given = options.circles == "labels"
-        rejected = frozenset[str]() if as_given else capture_check(folder, progress).rejected_labels
+        check = capture_check(folder, progress, (block,))
+        rejected = frozenset[str]() if as_given else check.rejected_labels
         kept = replace(folder, presses=without_labels(folder.presses, rejected))
         captures, profile = presses_on_camera(kept, base)
         split = captures.split(options.holdout_every)
