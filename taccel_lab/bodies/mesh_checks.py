@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.bodies.box_pairs import box_pairs
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.files.triangle_file import FLAT as FLAT_TRIANGLE
@@ -83,6 +82,9 @@ def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
 def _check_duplicates(points: np.ndarray, what: str) -> None:
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     near = COINCIDENT * extent
+    # Loads warp, which what draws or plans does without.
+    from taccel_lab.bodies.box_pairs import box_pairs
+
     pairs = np.stack(box_pairs((points - near, points + near), (points, points)), axis=1)
     pairs = pairs[pairs[:, 0] < pairs[:, 1]]
     pairs = pairs[np.linalg.norm(np.subtract(*points[pairs.T]), axis=1) <= near]
