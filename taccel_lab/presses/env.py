@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -30,6 +31,7 @@ from taccel_lab.presses.ahead import WayAhead, goes_on
 from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.path import SPEED_MM_S, PressPath
 from taccel_lab.presses.physics import PressError, expected_error
+from taccel_lab.presses.places import Places, way_of
 from taccel_lab.presses.setup import PressSetup
 from taccel_lab.presses.touch import (
     MAX_DEPTH_FRACTION,
@@ -162,12 +164,14 @@ class PressEnv:
         without one; shape [env_count]."""
         self._last_m = np.zeros(env_count)
         """What the last step added to the depth [m]."""
+        self.places = Places()
+        """Ends of steps, where they are kept: those of the way before the last ``reset`` are where
+        steps search from that lead there again."""
         self._ahead: WayAhead | None = None
         """Where steps straight down look ahead; None where nothing is known."""
         if isinstance(indenter.shape, Ball) and gel_from_press is None and len(rest) == 1:
             radius_m = indenter.shape.radius_m
-            ways = self.model, contact, self.touch_m, radius_m, dhat
-            self._ahead = WayAhead(*ways)
+            self._ahead = WayAhead(self.solver, contact, self.touch_m, radius_m)
         self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)
@@ -179,11 +183,15 @@ class PressEnv:
         place = np.column_stack([self.at_m + shear_m, self.touch_m - depth_m + self.setback_m])
         return self._frames.poses_in_gel(place, twist_rad)[:, None]
 
+    def _way(self, depth_m: np.ndarray, shear_m: np.ndarray, twist_rad: Any) -> bytes:
+        return way_of(depth_m, depth_m - self.depth_m, shear_m, shear_m - self._shear_m, twist_rad)
+
     def reset(self) -> None:
         """Back to rest, the indenter above the gel."""
         dhat = self.solver.config.dhat_m
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
         self._shear_m, self._last_m = 0 * self._shear_m, 0 * self._last_m
+        self.places.begin_again()
         self.state = initial_state(self.model, self._start)
 
     def _mean_gap_m(self) -> np.ndarray:
@@ -253,8 +261,11 @@ class PressEnv:
             way_m = np.hypot(target_m - deep, np.linalg.norm(shear_m - aside, axis=1))
             moving = way_m if stay is None else way_m[~stay]
             dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_STEP_S)
+        way = self._way(target_m, shear_m, np.radians(twist_deg))
         report = self._step(target_m, shear_m, np.radians(twist_deg), stay, dt_s)
         done = report.converged & (True if stay is None else ~stay)
+        if done.all():
+            self.places.keep(way, self.state.positions, self.setback_m)
         self._shear_m = np.where(done[:, None], shear_m, aside)
         return report
 
@@ -310,6 +321,9 @@ class PressEnv:
         ways_m = depth_m - self.depth_m, self._last_m, self.depth_m
         straight = not (shear_m.any() or self._shear_m.any() or np.any(twist_rad))
         straight = straight and goes_on(*(values[~resting] for values in ways_m))
+        known = self.places.start(self._way(depth_m, shear_m, twist_rad))
+        if known is not None:
+            self.setback_m = np.where(resting, self.setback_m, known[1])
         report: StepReport | None = None
         for left in reversed(range(SETBACK_ROUNDS)):
             target = self._poses(depth_m, shear_m, twist_rad)
@@ -319,6 +333,8 @@ class PressEnv:
             ahead = None
             if self._ahead is not None and straight and not again:
                 ahead = partial(self._ahead.write, self.state, target)
+            elif known is not None and not again:
+                ahead = known[0]
             found = self.solver.step(self.state, control, who=~resting, again=again, ahead=ahead)
             report = report.followed_by(found) if report is not None else found
             resting |= ~found.converged

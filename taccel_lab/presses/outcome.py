@@ -44,6 +44,8 @@ class SeenFrom:
     designed_rest: RestSurface | None = None
     """The pad's contact face on ``face_of(camera)``, where a mesh draws it more coarsely, see
     ``RestSurface.left_out_by``."""
+    points: int | None = None
+    """Samples along each side of a pixel, see ``FineSurface``."""
 
 
 @dataclass(frozen=True)
@@ -267,6 +269,7 @@ def simulate_press(
     """
     indenter = setup.indenter
     env = PressEnv(setup, np.array([at_mm]), config=setup.physics.solver(**(limits or {})))
+    env.places.kept = beside is not None
     texture = indenter.texture
     if texture is not None and not path.depth_mm * 1e-3 > texture.mean_depth_m:
         raise InputError(
@@ -385,6 +388,7 @@ def press_surface(env: PressEnv, indenter: Indenter, seen: SeenFrom) -> PressSur
         seen.camera,
         texture=indenter.texture,
         designed_rest=seen.designed_rest,
+        points=seen.points,
         env_count=1,
     )
     signal = SignalTactile.from_solver(env.solver, seen.camera, fine=fine)

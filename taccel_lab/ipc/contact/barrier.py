@@ -48,6 +48,20 @@ def unit_barrier_d2(y: wp.float64) -> wp.float64:
 
 
 @wp.func
+def unit_gap(pressure: wp.float64) -> wp.float64:
+    """Gap y at which |g'(y)| is ``pressure``: 1 at none, to a part in 1e-6."""
+    low = wp.float64(0.0)
+    high = wp.float64(1.0)
+    for _ in range(20):
+        middle = wp.float64(0.5) * (low + high)
+        if -unit_barrier_d1(middle) > pressure:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@wp.func
 def contact_potential(distance: wp.float64, dhat: wp.float64, stiffness: wp.float64) -> wp.float64:
     """Potential energy [J] of a collision; stiffness = kappa [Pa] * area [m^2]."""
     return stiffness * dhat * unit_barrier(distance / dhat)

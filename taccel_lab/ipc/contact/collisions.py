@@ -229,7 +229,8 @@ class Collisions(GrowingList):
         self.guard = GUARD_FRACTION * dhat
         """Gap at which the guard begins [m]."""
         self.geometry = contact_geometry(model)
-        self._surface = self._contact_surface()
+        self.surface = self._contact_surface()
+        """What a search reads of all surfaces."""
 
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
@@ -282,9 +283,9 @@ class Collisions(GrowingList):
         model, plan = self.model, self.model.contact_plan
         if self._moduli is not model.largest_moduli:
             # They differ by environment since.
-            self._surface.body_kappas = body_kappas(model, self.kappa)
+            self.surface.body_kappas = body_kappas(model, self.kappa)
             self._moduli = model.largest_moduli
-        common = [positions, self.geometry, self._surface]
+        common = [positions, self.geometry, self.surface]
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
             lanes = lane_count(model.device, place_count(active), pairs.largest_room)

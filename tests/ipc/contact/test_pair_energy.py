@@ -47,6 +47,14 @@ def test_the_barrier_equals_ipctk() -> None:
         np.testing.assert_allclose(potential, unit * scale * stiffness / dhat, rtol=1e-13)
 
 
+def test_a_unit_gap_is_where_the_barrier_has_its_pressure() -> None:
+    pressure = 10.0 ** np.random.default_rng(1).uniform(-3, 2, 500)
+    gap = mapped(barrier.unit_gap, pressure)
+    low, high = (-mapped(barrier.unit_barrier_d1, gap + d) for d in (1e-6, -2e-6))
+    assert (low <= pressure * (1 + 1e-12)).all() and (high >= pressure * (1 - 1e-12)).all()
+    np.testing.assert_allclose(mapped(barrier.unit_gap, np.array([0.0, -1.0])), 1.0)
+
+
 # Derivatives of an energy of the distance ------------------------------------------------------
 
 
