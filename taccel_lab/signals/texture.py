@@ -78,9 +78,9 @@ class Texture:
     @property
     def relief_width_m(self) -> float:
         """Mean width of what stands out over the mean, and of what lies between [m]: area over the
-        length of the borders, along rows and columns."""
+        length of the borders, along rows and columns, of a map that goes on as it began."""
         over = self.heights > self.heights.mean()
-        borders = sum(int(np.diff(over, axis=axis).sum()) for axis in (0, 1))
+        borders = sum(int((over != np.roll(over, 1, axis)).sum()) for axis in (0, 1))
         return self.width_m / over.shape[1] * over.size / max(borders, 1)
 
     def relief_m(self) -> np.ndarray:
