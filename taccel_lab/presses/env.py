@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -31,7 +30,7 @@ from taccel_lab.presses.ahead import WayAhead, goes_on
 from taccel_lab.presses.frame import PressFrames
 from taccel_lab.presses.path import SPEED_MM_S, PressPath
 from taccel_lab.presses.physics import PressError, expected_error
-from taccel_lab.presses.places import Places, way_of
+from taccel_lab.presses.places import Places
 from taccel_lab.presses.setup import PressSetup
 from taccel_lab.presses.touch import (
     MAX_DEPTH_FRACTION,
@@ -183,9 +182,6 @@ class PressEnv:
         place = np.column_stack([self.at_m + shear_m, self.touch_m - depth_m + self.setback_m])
         return self._frames.poses_in_gel(place, twist_rad)[:, None]
 
-    def _way(self, depth_m: np.ndarray, shear_m: np.ndarray, twist_rad: Any) -> bytes:
-        return way_of(depth_m, depth_m - self.depth_m, shear_m, shear_m - self._shear_m, twist_rad)
-
     def reset(self) -> None:
         """Back to rest, the indenter above the gel."""
         dhat = self.solver.config.dhat_m
@@ -261,11 +257,11 @@ class PressEnv:
             way_m = np.hypot(target_m - deep, np.linalg.norm(shear_m - aside, axis=1))
             moving = way_m if stay is None else way_m[~stay]
             dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_STEP_S)
-        way = self._way(target_m, shear_m, np.radians(twist_deg))
         report = self._step(target_m, shear_m, np.radians(twist_deg), stay, dt_s)
         done = report.converged & (True if stay is None else ~stay)
         if done.all():
-            self.places.keep(way, self.state.positions, self.setback_m)
+            end = target_m, shear_m, np.radians(twist_deg)
+            self.places.keep(self.state.positions, self.setback_m, *end)
         self._shear_m = np.where(done[:, None], shear_m, aside)
         return report
 
@@ -321,7 +317,7 @@ class PressEnv:
         ways_m = depth_m - self.depth_m, self._last_m, self.depth_m
         straight = not (shear_m.any() or self._shear_m.any() or np.any(twist_rad))
         straight = straight and goes_on(*(values[~resting] for values in ways_m))
-        known = self.places.start(self._way(depth_m, shear_m, twist_rad))
+        known = self.places.start(depth_m, shear_m, twist_rad)
         if known is not None:
             self.setback_m = np.where(resting, self.setback_m, known[1])
         report: StepReport | None = None

@@ -12,43 +12,37 @@ import warp as wp
 
 
 class Places:
-    """Where steps have ended, by how they led there."""
+    """Ends of steps, by how these led there."""
 
     def __init__(self) -> None:
         self.kept = False
         """Whether ends of steps are kept."""
         self._ends: dict[bytes, tuple[wp.array, np.ndarray]] = {}
+        self._at = np.zeros(1)
+        """Last end, as a row of all numbers."""
         self.known: dict[bytes, tuple[wp.array, np.ndarray]] = {}
         """Positions and ``setback_m`` at the ends of the way before."""
 
-    def keep(self, way: bytes, positions: wp.array, setback_m: np.ndarray) -> None:
-        """Keep the end of a step."""
+    def _way(self, *end: np.ndarray | float) -> tuple[bytes, np.ndarray]:
+        """Name of a step that ends there, which tells down from up and out from back; and the end
+        as a row."""
+        row = np.concatenate([np.ravel(part) for part in end])
+        return np.concatenate([row, np.sign(row - self._at)]).tobytes(), row
+
+    def keep(self, positions: wp.array, setback_m: np.ndarray, *end: np.ndarray | float) -> None:
+        """Keep where a step has ended: depths, shears and turns, in any one order."""
         if self.kept:
+            way, self._at = self._way(*end)
             self._ends[way] = wp.clone(positions), setback_m.copy()
 
     def begin_again(self) -> None:
         """Say that the way begins anew."""
-        self.known, self._ends = self._ends, {}
+        self.known, self._ends, self._at = self._ends, {}, np.zeros(1)
 
-    def start(self, way: bytes) -> tuple[Callable[[wp.array], None], np.ndarray] | None:
+    def start(
+        self, *end: np.ndarray | float
+    ) -> tuple[Callable[[wp.array], None], np.ndarray] | None:
         """Return what writes the positions that a step of the way before has led to, and its
-        ``setback_m``; None where none has."""
-        found = self.known.get(way)
+        ``setback_m``; None where none has led to this end from there."""
+        found = self.known.get(self._way(*end)[0]) if self.known else None
         return None if found is None else (partial(wp.copy, src=found[0]), found[1])
-
-
-def way_of(
-    depth_m: np.ndarray, more_m: np.ndarray, shear_m: np.ndarray, aside_m: np.ndarray,
-    twist_rad: np.ndarray | float,
-) -> bytes:  # fmt: skip
-    """Name the end of a step and whether it leads there down or up, out or back.
-
-    Args:
-        depth_m: End of the step [m], [env_count].
-        more_m: How much deeper that is [m], [env_count].
-        shear_m: Likewise, [env_count, 2].
-        aside_m: How much farther aside that is [m], [env_count, 2].
-        twist_rad: One angle, one an environment, or rotation vectors.
-    """
-    parts = depth_m, np.sign(more_m), shear_m, np.sign(aside_m), twist_rad
-    return b"".join(np.asarray(part, dtype=np.float64).tobytes() for part in parts)

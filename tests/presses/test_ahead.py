@@ -107,6 +107,15 @@ def test_places_are_those_of_the_way_down_or_of_the_way_up() -> None:
     assert len(env.places.known) == 3 and known == {0.25, 0.5}
 
 
+def test_places_of_a_turn_are_those_of_its_way_out_or_back() -> None:
+    env, _ = env_of("gelsight_mini", friction=0.5)
+    env.places.kept = True
+    for twist_deg in (0.0, 2.0, 4.0, 2.0):
+        env.move_to(0.25, twist_deg=twist_deg)
+    env.reset()
+    assert len(env.places.known) == 4
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(("friction", "steps"), [(0.0, 1), (0.3, 6)])
 def test_the_press_beside_a_ball_takes_few_steps(friction: float, steps: int) -> None:
