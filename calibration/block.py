@@ -32,7 +32,7 @@ Residuals = Mapping[str, float]
 
 
 class Needs(NamedTuple):
-    """What captures hold for a block and what they lack, in words; empty for nothing."""
+    """Contents of captures for a block, and their lack, in words; empty for none."""
 
     found: str
     missing: str = ""
@@ -65,7 +65,7 @@ class Block:
     """``__name__`` of the module that makes it."""
     words: type[BlockWords]
     needs: Callable[[CaptureFolder, bool | None], Needs]
-    """What a folder holds for it; the flag says whether images are grey, where that is known."""
+    """Contents of a folder for it; the flag says whether images are grey, where that is known."""
     fitted_by: str
     """Its fit, ``calibrate_NAME``: (folder, base, options, progress) -> result; without options for
     a block that has none."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What captures hold for the blocks that read ball presses, in words, and where a scale may come
+"""Contents of captures for the blocks that read ball presses, in words, and where a scale may come
 from."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of all fits to ball presses, and of their networks."""
+"""Options of all fits to ball presses, and of their networks."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def _needs(folder: CaptureFolder, _: bool | None) -> Needs:
 
 
 def _scale_for_size(folder: CaptureFolder) -> str:
-    """What a background of another size than the catalogue's images needs; empty for nothing."""
+    """Need of a background of another size than the catalogue's images; empty for none."""
     from taccel_lab.sensors.registry import known_sensor
 
     family = known_sensor(folder.sensor)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of a calibration of the background."""
+"""Options of a calibration of the background."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BackgroundOptions:
-    """What is compared besides the frames of the folder."""
+    """Units to compare besides the frames of the folder."""
 
     units: tuple[SensorProfile, ...] = ()
     """Profiles of several units of one design, the one at hand among them where it is known."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration of the background can remark."""
+"""Remarks of the calibration of the background."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a folder holds for each block, what is missing, and which command that stops."""
+"""Contents of a folder for each block, what is missing, and which command that stops."""
 
 from __future__ import annotations
 

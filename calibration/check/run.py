@@ -54,7 +54,7 @@ RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 @dataclass(frozen=True)
 class PressCheck:
-    """What ball presses and their background show, whichever block they are for."""
+    """Findings of ball presses and their background, whichever block they are for."""
 
     findings: tuple[Remark, ...] = ()
     frames: tuple[FrameFigures, ...] = ()

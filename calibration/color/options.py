@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of a fit of colours, and its settings."""
+"""Options of a fit of colours, and its settings."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of a fit of grey levels to depths."""
+"""Options of a fit of grey levels to depths."""
 
 from __future__ import annotations
 

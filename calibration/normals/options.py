@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of a fit of normals, and the settings of its networks."""
+"""Options of a fit of normals, and the settings of its networks."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a refit can remark."""
+"""Remarks of a refit."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from tests.support.commands import done
 def said(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, out: Path, *words: object
 ) -> str:
-    """What the command notes of a relief before it solves."""
+    """Notes of the command on a relief before it solves."""
 
     def unsolved(run: PressRun, *_: object) -> None:
         raise InputError("as far as this test goes")

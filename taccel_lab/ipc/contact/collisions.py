@@ -230,7 +230,7 @@ class Collisions(GrowingList):
         """Gap at which the guard begins [m]."""
         self.geometry = contact_geometry(model)
         self.surface = self._contact_surface()
-        """What a search reads of all surfaces."""
+        """Data of all surfaces for a search."""
 
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
